@@ -6,7 +6,7 @@
 # make lock    refresh constraints/, the versions that make installs
 # make install-check  install and use Koala with every Python on this machine
 # make figures every picture of README.md and docs/, from the code (needs the demonstration; 25 minutes more for the calibration benchmark)
-# Everything is installed into .venv; again only when pyproject.toml has changed.
+# Everything is installed into .venv; again only when pyproject.toml or setup.py has changed.
 
 SHELL := /bin/bash
 PYTHON ?= python3
@@ -23,7 +23,7 @@ endef
 .PHONY: demo tools test test-all check fuzz types format docs figures lock install-check clean
 .DEFAULT_GOAL := test
 
-$(READY): pyproject.toml $(wildcard constraints/*.txt)
+$(READY): pyproject.toml setup.py $(wildcard constraints/*.txt)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
 	  echo "error: $(PYTHON) is older than 3.11; give a newer one: make $(MAKECMDGOALS) PYTHON=python3.12"; exit 2; }
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
@@ -67,8 +67,10 @@ fuzz: $(READY)
 	$(BIN)/python tests/fuzz/pool.py 10000
 	$(BIN)/python -m pytest -q -m 'slow or not slow' tests/fuzz/test_controller.py
 
+# pyright does not see that the folders are packages of koala3d: it gets a copy in which they are
 types: $(READY)
-	$(BIN)/pyright --pythonpath $(BIN)/python capture calib datasets reconstruct
+	rm -rf build/types && mkdir -p build/types/koala3d && cp -r capture calib datasets reconstruct configs build/types/koala3d
+	set -o pipefail; cd build/types && ../../$(BIN)/pyright --pythonpath ../../$(BIN)/python koala3d | sed 's|build/types/koala3d/||'
 
 format: $(READY)
 	$(BIN)/ruff format .

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from calib.arrays import Array, Mask
-from calib.errors import CalibrationError
-from calib.handeye import (
+from koala3d.calib.arrays import Array, Mask
+from koala3d.calib.errors import CalibrationError
+from koala3d.calib.handeye import (
     closed_forms,
     flatness,
     flips,
@@ -24,15 +24,15 @@ from calib.handeye import (
     uncertainty,
     verify,
 )
-from calib.handeye.model import Accuracy, Session, State
-from calib.handeye.refine import Refined
-from calib.intrinsics import estimate, lenses, projection, splined
-from calib.intrinsics.known import Known
-from calib.sessions.session import TargetSession
-from calib.solver.geometry import rms_difference
-from calib.targets import screening
-from datasets.calibration import Calibration
-from datasets.camera_model import Camera
+from koala3d.calib.handeye.model import Accuracy, Session, State
+from koala3d.calib.handeye.refine import Refined
+from koala3d.calib.intrinsics import estimate, lenses, projection, splined
+from koala3d.calib.intrinsics.known import Known
+from koala3d.calib.sessions.session import TargetSession
+from koala3d.calib.solver.geometry import rms_difference
+from koala3d.calib.targets import screening
+from koala3d.datasets.calibration import Calibration
+from koala3d.datasets.camera_model import Camera
 
 CORNERS_PER_VIEW = 4  # fewest corners of a session whose camera is known: one tag in each view
 MAX_DISTANCE_M = 1e7

@@ -5,8 +5,8 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from calib import drawing
-from calib.options import (
+from koala3d.calib import drawing
+from koala3d.calib.options import (
     AllowMm,
     Arm,
     Import,
@@ -19,13 +19,13 @@ from calib.options import (
     check_lens,
     spread,
 )
-from calib.study import commands as study_commands
-from calib.targets import commands as target_commands
-from calib.together import commands as together_commands
-from calib.turntable import commands as turntable_commands
-from datasets.core import console
-from datasets.core.console import Json
-from datasets.core.errors import UsageError
+from koala3d.calib.study import commands as study_commands
+from koala3d.calib.targets import commands as target_commands
+from koala3d.calib.together import commands as together_commands
+from koala3d.calib.turntable import commands as turntable_commands
+from koala3d.datasets.core import console
+from koala3d.datasets.core.console import Json
+from koala3d.datasets.core.errors import UsageError
 
 app = console.make_app("calib", "Calibrate the camera and its pose on the arm from a recording of a target.")
 
@@ -40,8 +40,8 @@ Out = Annotated[Path, Option("--out", help="Calibration file to write (JSON).")]
 @spread
 def intrinsics_command(pictures: Pictures, out: Out, lens: Lens = "auto", json: Json = False) -> None:
     """Calibrate the camera alone: focal lengths, principal point, distortion."""
-    from calib.calibrate import calibrate_intrinsics
-    from calib.page.finish import finish
+    from koala3d.calib.calibrate import calibrate_intrinsics
+    from koala3d.calib.page.finish import finish
 
     _check_out(out)
     check_lens(lens)
@@ -61,8 +61,8 @@ def handeye_command(
 
     Everything is estimated together, with its uncertainty, and tested on views held out of the fit.
     """
-    from calib.calibrate import calibrate_handeye
-    from calib.page.finish import finish
+    from koala3d.calib.calibrate import calibrate_handeye
+    from koala3d.calib.page.finish import finish
 
     accuracy, allow_m = rig.accuracy(inexact), allowed_m(allow_mm)
     _check_out(out)
@@ -77,7 +77,7 @@ def compare_command(rig: Rig, json: Json = False) -> None:
 
     Prints a table (Markdown) with the error of each method on views held out of its fit.
     """
-    from calib.study import compare
+    from koala3d.calib.study import compare
 
     accuracy = rig.accuracy()
     rows = compare.compare(*rig.read(), accuracy, rig.lens)
@@ -95,9 +95,9 @@ def verify_command(
 
     Use a recording that the calibration was not made from. Only the pose of the target is fitted.
     """
-    from calib.handeye.verify import verify
-    from calib.page.summary import describe_verification
-    from datasets.calibration import Calibration
+    from koala3d.calib.handeye.verify import verify
+    from koala3d.calib.page.summary import describe_verification
+    from koala3d.datasets.calibration import Calibration
 
     result = verify(pictures.observe()[0], Calibration.load(calibration))
     console.report(result.to_json(), as_json=json, text=describe_verification(result))
@@ -116,9 +116,9 @@ def report_command(
     It shows residuals over the image, errors of each view, coverage and error ellipses. The calibration is shown as stored.
     The recording is searched for the target again.
     """
-    from calib.page import report
-    from calib.page.evidence import gather, recording_of
-    from datasets.calibration import Calibration
+    from koala3d.calib.page import report
+    from koala3d.calib.page.evidence import gather, recording_of
+    from koala3d.datasets.calibration import Calibration
 
     _check_out(out)
     calibration = Calibration.load(path)
@@ -141,9 +141,9 @@ def view_command(
 
     The page shows the target and the cameras, residuals over the image, coverage and error ellipses.
     """
-    from calib.page.view import show
-    from datasets.calibration import Calibration
-    from datasets.page import open_page
+    from koala3d.calib.page.view import show
+    from koala3d.datasets.calibration import Calibration
+    from koala3d.datasets.page import open_page
 
     calibration = Calibration.load(path)
     with open_page(path.stem, port) as page:
@@ -167,9 +167,9 @@ def plan_command(
 
     They lie in the box of the recorded camera positions. Check with 'capture plan' whether the arm can reach them.
     """
-    from calib import calibrate
-    from calib.study import next_views
-    from datasets.recording import Recording
+    from koala3d.calib import calibrate
+    from koala3d.calib.study import next_views
+    from koala3d.datasets.recording import Recording
 
     accuracy = rig.accuracy()
     _check_out(out)
@@ -205,9 +205,9 @@ def advise_command(
     """
     import sys
 
-    from calib.advice.serve import Recorded, serve
-    from calib.study.rehearsal import Rehearsed
-    from datasets.calibration import Calibration
+    from koala3d.calib.advice.serve import Recorded, serve
+    from koala3d.calib.study.rehearsal import Rehearsed
+    from koala3d.datasets.calibration import Calibration
 
     check_lens(lens)
     given = Calibration.load(intrinsics) if intrinsics is not None else None
@@ -228,9 +228,9 @@ def refine_command(
 
     The arm's poses are priors. Refined poses are used only if they explain held-out points better.
     """
-    from calib import sfm
-    from datasets.core.files import refuse_existing
-    from datasets.formats import koala, load_scene
+    from koala3d.calib import sfm
+    from koala3d.datasets.core.files import refuse_existing
+    from koala3d.datasets.formats import koala, load_scene
 
     accuracy = arm.accuracy()
     refuse_existing(out)
@@ -268,7 +268,7 @@ app.command("study")(study_commands.study)
 
 def _check_out(out: Path) -> None:
     """Raise UsageError before the work begins if `out` cannot be written after it."""
-    from datasets.core.files import refuse_existing
+    from koala3d.datasets.core.files import refuse_existing
 
     if out.is_dir():
         raise UsageError("is a folder", where=out, remedy="give --out the name of a new file")

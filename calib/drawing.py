@@ -5,8 +5,8 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from datasets.core import console
-from datasets.core.errors import UsageError
+from koala3d.datasets.core import console
+from koala3d.datasets.core.errors import UsageError
 
 Picture = Annotated[Path, Option("--out", help="Picture to write (PNG).")]
 
@@ -21,8 +21,8 @@ def uncertainty(
 
     The picture shows the standard deviation of where a point at some distance is seen.
     """
-    from calib.page import figures, maps
-    from datasets.calibration import Calibration
+    from koala3d.calib.page import figures, maps
+    from koala3d.datasets.calibration import Calibration
 
     if not 0 < distance < 1e3:
         raise UsageError("distance must lie between 0 and 1000 m", where="--distance", why=f"{distance:g} given")
@@ -48,9 +48,9 @@ def difference(
 
     The rotation that brings them closest is left out: it looks like another principal point.
     """
-    from calib.intrinsics import crossval
-    from calib.page import figures
-    from datasets.calibration import Calibration
+    from koala3d.calib.intrinsics import crossval
+    from koala3d.calib.page import figures
+    from koala3d.datasets.calibration import Calibration
 
     _check(out)
     cameras = [Calibration.load(path).camera for path in (first, second)]
@@ -68,7 +68,7 @@ def difference(
 
 def _check(out: Path) -> None:
     """Raise UsageError where `out` cannot be written."""
-    from datasets.core.files import refuse_existing
+    from koala3d.datasets.core.files import refuse_existing
 
     if out.suffix.lower() != ".png":
         raise UsageError("is no PNG file", where=out, remedy="give --out a name that ends in .png")
@@ -76,6 +76,6 @@ def _check(out: Path) -> None:
 
 
 def _write(out: Path, picture: bytes) -> None:
-    from datasets.core.files import write_bytes
+    from koala3d.datasets.core.files import write_bytes
 
     write_bytes(out, picture)

@@ -1,6 +1,6 @@
 """What can go wrong in a calibration, said in one line each."""
 
-from datasets.core.errors import KoalaError
+from koala3d.datasets.core.errors import KoalaError
 
 
 class CalibrationError(KoalaError):

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 from typer import Argument, Option
 
-from datasets.core import console
-from datasets.core.errors import UsageError, nearest
+from koala3d.datasets.core import console
+from koala3d.datasets.core.errors import UsageError, nearest
 
 if TYPE_CHECKING:
-    from calib.handeye.model import Accuracy
-    from calib.sessions.session import TargetSession
-    from datasets.calibration import Calibration
-    from datasets.targets.board import Board
+    from koala3d.calib.handeye.model import Accuracy
+    from koala3d.calib.sessions.session import TargetSession
+    from koala3d.datasets.calibration import Calibration
+    from koala3d.datasets.targets.board import Board
 
 RecordingPath = Annotated[
     Path, Argument(metavar="RECORDING", help="Folder made by 'capture run' with a calibration target in view.")
@@ -73,7 +73,7 @@ class Arm:
 
     def accuracy(self, inexact: Inexact | None = None) -> "Accuracy":
         """The accuracy of arm and target as given on the command line. Raises UsageError where it is impossible."""
-        from calib.handeye.model import Accuracy
+        from koala3d.calib.handeye.model import Accuracy
 
         inexact = inexact or Inexact()
         stated = {"--arm-mm": self.arm_mm, "--arm-deg": self.arm_deg}
@@ -102,8 +102,8 @@ class Pictures:
 
     def observe(self, board: "Board | None" = None) -> "tuple[TargetSession, Calibration | None]":
         """Find the target, or `board`, in every image, with a progress bar; and the camera that an imported session brings."""
-        from calib.sessions.importer import count_views, observe_folder
-        from datasets.calibration import Calibration
+        from koala3d.calib.sessions.importer import count_views, observe_folder
+        from koala3d.datasets.calibration import Calibration
 
         with console.progress("finding the target", count_views(self.recording, self.description), "views") as bar:
 
@@ -125,7 +125,7 @@ class Rig(Arm, Pictures):
 
     def read(self, board: "Board | None" = None) -> "tuple[TargetSession, Calibration | None]":
         """The session of its target, or of `board`, and the camera that is given. Options are checked before pictures."""
-        from datasets.calibration import Calibration
+        from koala3d.datasets.calibration import Calibration
 
         check_lens(self.lens)
         self._require_still()
@@ -135,7 +135,7 @@ class Rig(Arm, Pictures):
 
     def _require_still(self) -> None:
         """Raise UsageError for a recording in which a turntable turned the target: it has no single pose in the base."""
-        from datasets.recording import MANIFEST, Recording
+        from koala3d.datasets.recording import MANIFEST, Recording
 
         if self.description is None and (self.recording / MANIFEST).is_file() and Recording.open(self.recording).turns:
             remedy = "record a target that stands still; then 'calib turntable' takes this recording"
@@ -144,7 +144,7 @@ class Rig(Arm, Pictures):
 
 def allowed_m(allow_mm: float) -> float:
     """The bound of `--allow-mm` in metres. Raises UsageError where it is stricter than the usual one, or no number."""
-    from calib.handeye.uncertainty import MAX_STD_M
+    from koala3d.calib.handeye.uncertainty import MAX_STD_M
 
     if not 1e3 * MAX_STD_M <= allow_mm < math.inf:
         why, remedy = f"{allow_mm:g} given", f"{1e3 * MAX_STD_M:g} mm is the usual bound; give more"
@@ -154,7 +154,7 @@ def allowed_m(allow_mm: float) -> float:
 
 def check_lens(lens: str) -> None:
     """Raise UsageError where there is no such lens."""
-    from calib.intrinsics.lenses import LENSES
+    from koala3d.calib.intrinsics.lenses import LENSES
 
     if lens not in LENSES:
         raise UsageError(f"no lens called {lens!r}", where="--lens", remedy=nearest(lens, LENSES))

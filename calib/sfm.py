@@ -12,14 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from calib.arrays import Array, Indices, Mask
-from calib.errors import CalibrationError
-from calib.handeye.model import Accuracy
-from calib.solver.geometry import cross, rms_difference
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.imaging import images
-from datasets.scene import Scene, View
+from koala3d.calib.arrays import Array, Indices, Mask
+from koala3d.calib.errors import CalibrationError
+from koala3d.calib.handeye.model import Accuracy
+from koala3d.calib.solver.geometry import cross, rms_difference
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import Scene, View
 
 ENOUGH_PX = 0.5  # median error of held-out points below which the arm's poses explain the pictures: features are no better [px]
 MIN_GAIN = 0.02  # share by which the error of held-out points must fall for the refined poses to be used

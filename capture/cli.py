@@ -2,14 +2,14 @@
 
 from pathlib import Path
 
-from capture import looking, plans, running, viewing
-from capture.calibrating import commands as calibrating_commands
-from capture.choosing import commands as choosing_commands
-from capture.doctor.commands import doctor
-from capture.radiometry import commands as radiometry_commands
-from capture.recording import commands as recording_commands
-from capture.rig import commands as rig_commands
-from datasets.core import console
+from koala3d.capture import looking, plans, running, viewing
+from koala3d.capture.calibrating import commands as calibrating_commands
+from koala3d.capture.choosing import commands as choosing_commands
+from koala3d.capture.doctor.commands import doctor
+from koala3d.capture.radiometry import commands as radiometry_commands
+from koala3d.capture.recording import commands as recording_commands
+from koala3d.capture.rig import commands as rig_commands
+from koala3d.datasets.core import console
 
 app = console.make_app("capture", "Move a robot and a camera along a trajectory, real or simulated, and make a recording.")
 
@@ -17,8 +17,8 @@ app = console.make_app("capture", "Move a robot and a camera along a trajectory,
 @app.command("list")
 def list_command(as_json: console.Json = False) -> None:
     """List the installed trajectories, calibration targets, rigs and arms, and the scenes of the simulation."""
-    import configs
-    from capture.sim.laboratory.scenes import SCENES
+    from koala3d import configs
+    from koala3d.capture.sim.laboratory.scenes import SCENES
 
     found = {kind: configs.shipped(kind) for kind in ("trajectories", "boards", "rigs", "arms")} | {"scenes": SCENES}
     width = max(len(name) for entries in found.values() for name in entries)

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from datasets import pose
-from datasets.core.schema import Schema
+from koala3d.datasets import pose
+from koala3d.datasets.core.schema import Schema
 
 Vector = tuple[float, float, float]
 

@@ -6,12 +6,12 @@ Without `links` the functions mean the UR5e. `capture.arms` has the other arms, 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from datasets import pose
-from datasets.kinematics import UR5E as UR5E
-from datasets.kinematics import Links as Links
-from datasets.kinematics import forward as forward
-from datasets.kinematics import jacobian as jacobian
-from datasets.kinematics import link_frames as link_frames
+from koala3d.datasets import pose
+from koala3d.datasets.kinematics import UR5E as UR5E
+from koala3d.datasets.kinematics import Links as Links
+from koala3d.datasets.kinematics import forward as forward
+from koala3d.datasets.kinematics import jacobian as jacobian
+from koala3d.datasets.kinematics import link_frames as link_frames
 
 Joints = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ from typing import Annotated, Any
 
 from typer import Option
 
-from capture.options import RigName, Settings, TakeOver, TrajectoryName
-from datasets.core import console
+from koala3d.capture.options import RigName, Settings, TakeOver, TrajectoryName
+from koala3d.datasets.core import console
 
 TIME_SCALE = 20.0
 """Speed of a simulated arm, as in 'capture run'."""
@@ -41,10 +41,10 @@ def look(
 
     The camera takes the settings of the trajectory. The arm is left alone, except with --arm or --go.
     """
-    from capture.look.analysis import Part
-    from capture.rig.opening import describe, is_simulated, scene_for
-    from capture.trajectory import load_trajectory
-    from datasets.core.files import refuse_existing
+    from koala3d.capture.look.analysis import Part
+    from koala3d.capture.rig.opening import describe, is_simulated, scene_for
+    from koala3d.capture.trajectory import load_trajectory
+    from koala3d.datasets.core.files import refuse_existing
 
     for path in (balance, picture):
         if path is not None:
@@ -64,8 +64,8 @@ def look(
             found, lines = _once(camera, part, burst, balance, picture, stored, box)
             console.report(found, as_json=as_json, text="\n".join(lines))
             return
-        from capture.page.look import LookPage
-        from datasets.page import open_page
+        from koala3d.capture.page.look import LookPage
+        from koala3d.datasets.page import open_page
 
         page = stack.enter_context(open_page(f"{session.name}, live", port))
         live = LookPage(page, camera, part, burst=burst, balance=balance, stored=stored, jog=jog, outline=outline)
@@ -77,9 +77,9 @@ def look(
 @contextmanager
 def _opened(rig: str, session: Any, scene: str, with_arm: bool, take_over: bool) -> Iterator[tuple[Any, Any]]:
     """The camera of a rig, and what moves its arm, which is None where it is left alone."""
-    from capture.doctor.examine import examination
-    from capture.look.jog import Jog
-    from capture.rig.opening import open_camera, open_rig
+    from koala3d.capture.doctor.examine import examination
+    from koala3d.capture.look.jog import Jog
+    from koala3d.capture.rig.opening import open_camera, open_rig
 
     if not with_arm:
         with open_camera(rig, session, scene=scene) as camera:
@@ -93,9 +93,9 @@ def _opened(rig: str, session: Any, scene: str, with_arm: bool, take_over: bool)
 
 def _outline(path: Path | None, session: Any, camera: Any, jog: Any) -> Any:
     """The object's box through a calibration; None without one."""
-    from capture.look.outline import Outline
-    from datasets.calibration import Calibration
-    from datasets.core.errors import UsageError
+    from koala3d.capture.look.outline import Outline
+    from koala3d.datasets.calibration import Calibration
+    from koala3d.datasets.core.errors import UsageError
 
     if path is None:
         return None
@@ -108,9 +108,9 @@ def _once(
     camera: Any, part: Any, burst: int, balance: Path | None, picture: Path | None, stored: str, box: Any
 ) -> tuple[dict[str, Any], list[str]]:
     """The figures for a program, and for a person."""
-    from capture.look import flicker
-    from capture.look.analysis import Look
-    from capture.look.balance import stored_response, white_balance, words
+    from koala3d.capture.look import flicker
+    from koala3d.capture.look.analysis import Look
+    from koala3d.capture.look.balance import stored_response, white_balance, words
 
     image = camera.grab()
     seen = Look.at(image, part)
@@ -127,9 +127,9 @@ def _once(
     if picture is not None:
         import numpy as np
 
-        from capture.page.live import with_histogram
-        from capture.page.overlay import shown as marked
-        from datasets.imaging import images
+        from koala3d.capture.page.live import with_histogram
+        from koala3d.capture.page.overlay import shown as marked
+        from koala3d.datasets.imaging import images
 
         plain, drawn = marked(image.pixels, part, peaking=False, zebra=False), marked(image.pixels, part)
         if box is not None:

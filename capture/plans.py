@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
-from capture.options import CalibrationFile, MeshScale, RigName, Settings
-from datasets.core import console
+from koala3d.capture.options import CalibrationFile, MeshScale, RigName, Settings
+from koala3d.datasets.core import console
 
 if TYPE_CHECKING:
-    from capture.arms.carrier import Carrier
-    from capture.trajectory import Trajectory
+    from koala3d.capture.arms.carrier import Carrier
+    from koala3d.capture.trajectory import Trajectory
 
 DEFAULT = Path("koala")  # with --for-mesh
 
@@ -53,10 +53,10 @@ def plan(
     With --for-mesh, views are chosen: few within reach that show every place of a known shape three times at 60 degrees or less,
     from directions that differ.
     """
-    from capture.rig.opening import describe
-    from capture.trajectory import load_trajectory
-    from datasets.core.errors import UsageError
-    from datasets.core.files import refuse_existing
+    from koala3d.capture.rig.opening import describe
+    from koala3d.capture.trajectory import load_trajectory
+    from koala3d.datasets.core.errors import UsageError
+    from koala3d.datasets.core.files import refuse_existing
 
     needless = {"--out": out, "--views": views, "--until-coverage": until_coverage, "--calibration": calibration}
     if given := [name for name, value in needless.items() if value is not None and for_mesh is None]:
@@ -80,8 +80,8 @@ def _planned(session: "Trajectory", mount: "Carrier", plot: Path | None, page: P
     """Plan a session, and draw it where that is asked for; what to report."""
     import numpy as np
 
-    from capture.planning import Obstacles, draw, duration
-    from capture.planning import plan as plan_session
+    from koala3d.capture.planning import Obstacles, draw, duration
+    from koala3d.capture.planning import plan as plan_session
 
     planned = plan_session(session, mount)
     seconds = duration(session, planned, mount.turntable)
@@ -109,12 +109,12 @@ def _covering(
     out: Path | None,
 ) -> tuple["Trajectory", str, dict[str, Any]]:
     """The trajectory that covers a mesh, written where that is asked for; what to report of it."""
-    from capture.choosing.candidates import dense
-    from capture.choosing.known_shape import cover, surface_of, write
-    from capture.choosing.loop import LEAST, MOST
-    from capture.choosing.session import check
-    from capture.choosing.shape import eye_of, lens_of
-    from datasets.calibration import Calibration
+    from koala3d.capture.choosing.candidates import dense
+    from koala3d.capture.choosing.known_shape import cover, surface_of, write
+    from koala3d.capture.choosing.loop import LEAST, MOST
+    from koala3d.capture.choosing.session import check
+    from koala3d.capture.choosing.shape import eye_of, lens_of
+    from koala3d.datasets.calibration import Calibration
 
     check(session)
     places = surface_of(mesh, session, scale)

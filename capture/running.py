@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Option
 
-from capture import viewing
-from capture.options import CalibrationFile, RigName, Settings, TakeOver, TimeScale, TrajectoryName
-from datasets.core import console
+from koala3d.capture import viewing
+from koala3d.capture.options import CalibrationFile, RigName, Settings, TakeOver, TimeScale, TrajectoryName
+from koala3d.datasets.core import console
 
 if TYPE_CHECKING:
-    from capture.choosing.loop import Goal
-    from capture.starting import Options
-    from capture.trajectory import Trajectory
+    from koala3d.capture.choosing.loop import Goal
+    from koala3d.capture.starting import Options
+    from koala3d.capture.trajectory import Trajectory
 
 Adaptive = Annotated[
     bool, Option("--adaptive", help="Choose the views by what they add; the trajectory says where the camera may be.")
@@ -57,12 +57,12 @@ def run(
     With --adaptive the session chooses its views: after a first look around, each is the one that shows most of the surface that
     few views have seen and most new angles where colours change, less its travel.
     """
-    from capture.choosing.loop import Goal
-    from capture.rig.opening import scene_for
-    from capture.starting import Options
-    from capture.trajectory import load_trajectory
-    from datasets.core.errors import KoalaError
-    from datasets.core.files import refuse_existing
+    from koala3d.capture.choosing.loop import Goal
+    from koala3d.capture.rig.opening import scene_for
+    from koala3d.capture.starting import Options
+    from koala3d.capture.trajectory import load_trajectory
+    from koala3d.datasets.core.errors import KoalaError
+    from koala3d.datasets.core.files import refuse_existing
 
     goal = Goal(until_coverage, views, minutes)
     _agree(adaptive, goal, calibration, view)
@@ -84,7 +84,7 @@ def run(
 
 def _agree(adaptive: bool, goal: "Goal", calibration: Path | None, view: bool) -> None:
     """Raise UsageError where options contradict each other."""
-    from datasets.core.errors import UsageError
+    from koala3d.datasets.core.errors import UsageError
 
     given = {"--until-coverage": goal.until_coverage, "--views": goal.views, "--minutes": goal.minutes}
     needless = [name for name, value in {**given, "--calibration": calibration}.items() if value is not None]
@@ -99,9 +99,9 @@ def _chosen(
     session: "Trajectory", out: Path, goal: "Goal", options: "Options", calibration: Path | None
 ) -> tuple[dict[str, Any], str]:
     """Record views that the session chooses; what to report."""
-    from capture.choosing import session as choosing
-    from datasets.calibration import Calibration
-    from datasets.recording import Recording
+    from koala3d.capture.choosing import session as choosing
+    from koala3d.datasets.calibration import Calibration
+    from koala3d.datasets.recording import Recording
 
     start = time.monotonic()
     known = None if calibration is None else Calibration.load(calibration)
@@ -114,11 +114,11 @@ def _chosen(
 
 def _every(session: "Trajectory", out: Path, options: "Options", port: int | None) -> tuple[dict[str, Any], str]:
     """Record every view of a trajectory, with a page at a port where one is given; what to report."""
-    from capture.planning import plan
-    from capture.recording.recorder import record
-    from capture.rig.opening import describe
-    from datasets.core.errors import UsageError
-    from datasets.recording import MANIFEST, Recording, chosen_views
+    from koala3d.capture.planning import plan
+    from koala3d.capture.recording.recorder import record
+    from koala3d.capture.rig.opening import describe
+    from koala3d.datasets.core.errors import UsageError
+    from koala3d.datasets.recording import MANIFEST, Recording, chosen_views
 
     if options.resume and (out / MANIFEST).is_file() and chosen_views(Recording.open(out)):
         raise UsageError("chose its own views", where=out, remedy="continue it with --adaptive")

@@ -6,9 +6,9 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from capture.arms.model import ArmModel
-from capture.errors import SafetyError
-from capture.kinematics import JOINT_LIMIT
+from koala3d.capture.arms.model import ArmModel
+from koala3d.capture.errors import SafetyError
+from koala3d.capture.kinematics import JOINT_LIMIT
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from capture.rig.opening import Rig
-    from capture.trajectory import Trajectory
+    from koala3d.capture.rig.opening import Rig
+    from koala3d.capture.trajectory import Trajectory
 
 
 @dataclass(frozen=True)
@@ -24,8 +24,8 @@ class Options:
 
     def opened(self, trajectory: "Trajectory", out: Path) -> "AbstractContextManager[Rig]":
         """The rig of a session that writes to `out`. Entering raises CaptureError where it is not ready."""
-        from capture.doctor.examine import examination
-        from capture.rig.opening import open_rig
+        from koala3d.capture.doctor.examine import examination
+        from koala3d.capture.rig.opening import open_rig
 
         return open_rig(
             self.rig,

@@ -14,14 +14,23 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, model_validator
 
-import configs
-from capture.geometry import BoardPlace, Box
-from capture.viewpoints import GridViews, HemisphereViews, JointViews, OrbitViews, PoseViews, TiltedViews, Viewpoint, spread
-from datasets import pose
-from datasets.core.errors import UsageError
-from datasets.core.schema import Schema, load_yaml, validate
-from datasets.recording import MANIFEST, Recording
-from datasets.targets.board import Board, load_board
+from koala3d import configs
+from koala3d.capture.geometry import BoardPlace, Box
+from koala3d.capture.viewpoints import (
+    GridViews,
+    HemisphereViews,
+    JointViews,
+    OrbitViews,
+    PoseViews,
+    TiltedViews,
+    Viewpoint,
+    spread,
+)
+from koala3d.datasets import pose
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.core.schema import Schema, load_yaml, validate
+from koala3d.datasets.recording import MANIFEST, Recording
+from koala3d.datasets.targets.board import Board, load_board
 
 FORMAT, VERSION = "koala-trajectory", 1
 

@@ -5,7 +5,7 @@ from typing import Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from datasets.core.schema import Schema
+from koala3d.datasets.core.schema import Schema
 
 Interval = tuple[float, float]
 

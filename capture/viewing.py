@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option
 
-from capture.options import Recorded, RigName, Settings
-from datasets.core import console
+from koala3d.capture.options import Recorded, RigName, Settings
+from koala3d.datasets.core import console
 
 if TYPE_CHECKING:
-    from capture.arms.carrier import Mount
-    from capture.planning import PlannedView
-    from capture.trajectory import Trajectory
+    from koala3d.capture.arms.carrier import Mount
+    from koala3d.capture.planning import PlannedView
+    from koala3d.capture.trajectory import Trajectory
 
 
 def view(
@@ -28,9 +28,9 @@ def view(
     as_json: console.Json = False,
 ) -> None:
     """Show a trajectory or a recording in the browser: arm, views, obstacles, and the session over time."""
-    from capture.page.view import show
-    from capture.rig.opening import describe
-    from datasets.page import open_page
+    from koala3d.capture.page.view import show
+    from koala3d.capture.rig.opening import describe
+    from koala3d.datasets.page import open_page
 
     with open_page(path.stem, port) as page:
         shown = show(page, path, describe(rig), overrides=settings)
@@ -46,7 +46,7 @@ def report(
     as_json: console.Json = False,
 ) -> None:
     """Write an HTML report of a recording: findings, exposure, sharpness and joints over time, every picture."""
-    from capture.page.report import write
+    from koala3d.capture.page.report import write
 
     with console.progress("reading", 1, "pictures") as shown:
         findings = write(recording, out, made_by=console.command_line(), done=shown.show)
@@ -57,8 +57,8 @@ def report(
 @contextmanager
 def watched(out: Path, session: "Trajectory", mount: "Mount", planned: "list[PlannedView]", port: int) -> Iterator[None]:
     """A page that shows a recording while it is made. Its stop button does what Ctrl-C does."""
-    from capture.page.view import watch
-    from datasets.page import open_page
+    from koala3d.capture.page.view import watch
+    from koala3d.datasets.page import open_page
 
     with open_page(session.name, port) as page:
         watch(page, out, session, mount, planned, stop=lambda: os.kill(os.getpid(), signal.SIGINT))

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from capture.arms.carrier import Mount, carrier_of
-from capture.geometry import Vector
-from capture.turning import Turning
-from datasets import pose
-from datasets.core.schema import Schema
-from datasets.kinematics import MAX_JOINTS
+from koala3d.capture.arms.carrier import Mount, carrier_of
+from koala3d.capture.geometry import Vector
+from koala3d.capture.turning import Turning
+from koala3d.datasets import pose
+from koala3d.datasets.core.schema import Schema
+from koala3d.datasets.kinematics import MAX_JOINTS
 
 Interval = tuple[float, float]
 Angles = Annotated[list[float], Field(min_length=1, max_length=MAX_JOINTS)]

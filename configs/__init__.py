@@ -6,7 +6,7 @@
 from importlib.resources import files
 from pathlib import Path
 
-from datasets.core.errors import UsageError, nearest
+from koala3d.datasets.core.errors import UsageError, nearest
 
 KINDS = {
     "models": "model",
@@ -53,7 +53,7 @@ def shipped(kind: str) -> dict[str, str]:
 
 
 def _files(kind: str) -> list[Path]:
-    return sorted((Path(str(files("configs"))) / kind).glob("*.yaml"))
+    return sorted((Path(str(files("koala3d.configs"))) / kind).glob("*.yaml"))
 
 
 def _description(path: Path) -> str:

@@ -10,7 +10,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.core.errors import DatasetError
+from koala3d.datasets.core.errors import DatasetError
 
 Figures = tuple[float, float]
 """Limits below which both errors of the hand-eye pose lie with 95 % certainty: translation [mm], rotation [deg]."""

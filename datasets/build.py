@@ -13,21 +13,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.calibration import Calibration
-from datasets.camera_model import Camera
-from datasets.core import files
-from datasets.core.errors import DatasetError, UsageError
-from datasets.core.progress import Step, ignore
-from datasets.develop import developing
-from datasets.formats import koala
-from datasets.formats.assemble import CAMERAS_ALONE
-from datasets.imaging import images
-from datasets.imaging.region import Region
-from datasets.recording import DEPTH, FORMAT, MANIFEST, TRUTH, Frame, Recording
-from datasets.scene import CHANNELS, SPLITS, STATED, Scene, View
-from datasets.structure import bounds
-from datasets.structure.lamps import light_of
-from datasets.structure.measure import measured
+from koala3d.datasets.calibration import Calibration
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import DatasetError, UsageError
+from koala3d.datasets.core.progress import Step, ignore
+from koala3d.datasets.develop import developing
+from koala3d.datasets.formats import koala
+from koala3d.datasets.formats.assemble import CAMERAS_ALONE
+from koala3d.datasets.imaging import images
+from koala3d.datasets.imaging.region import Region
+from koala3d.datasets.recording import DEPTH, FORMAT, MANIFEST, TRUTH, Frame, Recording
+from koala3d.datasets.scene import CHANNELS, SPLITS, STATED, Scene, View
+from koala3d.datasets.structure import bounds
+from koala3d.datasets.structure.lamps import light_of
+from koala3d.datasets.structure.measure import measured
 
 SENSOR = "sensor"
 """Folder of a scene for what devices have measured beside the pictures."""

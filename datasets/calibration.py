@@ -14,14 +14,14 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import kinematics, pose
-from datasets.camera_model import Camera
-from datasets.core import files
-from datasets.core.errors import DatasetError
-from datasets.imaging.region import Region
-from datasets.kinematics import UR5E, Links
-from datasets.recording import Frame
-from datasets.turntable import Axis
+from koala3d.datasets import kinematics, pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import DatasetError
+from koala3d.datasets.imaging.region import Region
+from koala3d.datasets.kinematics import UR5E, Links
+from koala3d.datasets.recording import Frame
+from koala3d.datasets.turntable import Axis
 
 FORMAT, VERSION = "koala-calibration", 1
 _LINKS = ("d_m", "a_m", "alpha_rad", "theta_rad")

@@ -22,8 +22,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from datasets.core.errors import DatasetError
-from datasets.spline import Spline
+from koala3d.datasets.core.errors import DatasetError
+from koala3d.datasets.spline import Spline
 
 Points = NDArray[np.float64]
 _KINDS: dict[str, type] = {"width": int, "height": int, "fisheye": bool}

@@ -6,11 +6,11 @@ from typing import Annotated, Any
 
 import typer
 
-from datasets.core import console, options
-from datasets.core.options import DataRoot, Json, OutFolder, OutPage, Port
-from datasets.edit import commands
-from datasets.process import command
-from datasets.segmentation import command as segmentation
+from koala3d.datasets.core import console, options
+from koala3d.datasets.core.options import DataRoot, Json, OutFolder, OutPage, Port
+from koala3d.datasets.edit import commands
+from koala3d.datasets.process import command
+from koala3d.datasets.segmentation import command as segmentation
 
 app = console.make_app("datasets", "Build scenes from recordings; inspect, check, edit and export scenes of every format.")
 
@@ -24,7 +24,7 @@ Quick = Annotated[bool, typer.Option("--quick", help="Do not match features betw
 
 def _formats(incomplete: str) -> list[str]:
     """Completion of format names in the shell."""
-    from datasets.formats import WRITERS
+    from koala3d.datasets.formats import WRITERS
 
     return [name for name in WRITERS if name.startswith(incomplete)]
 
@@ -47,9 +47,9 @@ def build(
     as_json: Json = False,
 ) -> None:
     """Make a posed scene from a recording and a calibration."""
-    from datasets.build import build as build_scene
-    from datasets.checks.check import summary
-    from datasets.recording import Recording
+    from koala3d.datasets.build import build as build_scene
+    from koala3d.datasets.checks.check import summary
+    from koala3d.datasets.recording import Recording
 
     with console.progress("building", len(Recording.open(recording).frames), "frames") as shown:
         options: dict[str, Any] = {"sizes": _numbers(sizes), "radiometry": radiometry, "white": white}
@@ -66,8 +66,8 @@ def info(
     as_json: Json = False,
 ) -> None:
     """Show what a scene contains: views, camera, bounds, truth."""
-    from datasets.checks.check import summary
-    from datasets.formats import load_scene
+    from koala3d.datasets.checks.check import summary
+    from koala3d.datasets.formats import load_scene
 
     found = summary(load_scene(scene, data_root=data_root, images=images, measure=measure))
     console.report(found, as_json=as_json, text=_text(found))
@@ -80,8 +80,8 @@ def check(
     """Read every file of a scene and list what is wrong.
 
     Each finding is one line: what, where, why and how to fix it. The exit code is 1 if there is an error."""
-    from datasets.checks.check import check as check_scene
-    from datasets.core.findings import tally
+    from koala3d.datasets.checks.check import check as check_scene
+    from koala3d.datasets.core.findings import tally
 
     with console.progress("checking", 1, "views") as shown:
         findings = check_scene(scene, data_root=data_root, images=images, matches=not quick, done=shown.show)
@@ -102,10 +102,10 @@ def view(
     as_json: Json = False,
 ) -> None:
     """Show a scene in the browser: cameras, points, bounds, images and the findings of 'datasets check'."""
-    from datasets.core.errors import KoalaError
-    from datasets.formats import load_scene
-    from datasets.page import open_page
-    from datasets.page.view import describe, show
+    from koala3d.datasets.core.errors import KoalaError
+    from koala3d.datasets.formats import load_scene
+    from koala3d.datasets.page import open_page
+    from koala3d.datasets.page.view import describe, show
 
     problems: list[KoalaError] = []
     loaded = load_scene(scene, data_root=data_root, images=images, problems=problems)
@@ -126,8 +126,8 @@ def report(
     as_json: Json = False,
 ) -> None:
     """Write an HTML report on a scene: figures, the findings of 'datasets check', cameras, every view."""
-    from datasets.core.findings import tally
-    from datasets.reports.scene import write
+    from koala3d.datasets.core.findings import tally
+    from koala3d.datasets.reports.scene import write
 
     with console.progress("checking", 1, "views") as shown:
         findings = write(
@@ -154,9 +154,9 @@ def export(
     as_json: Json = False,
 ) -> None:
     """Write a scene in another format. Images are undistorted where that format has no lens model."""
-    from datasets.build import extra_truth
-    from datasets.core.files import refuse_existing
-    from datasets.formats import find, load_scene, save_scene
+    from koala3d.datasets.build import extra_truth
+    from koala3d.datasets.core.files import refuse_existing
+    from koala3d.datasets.formats import find, load_scene, save_scene
 
     refuse_existing(out)
     loaded = load_scene(scene, data_root=data_root, format=source, images=images)
@@ -175,8 +175,8 @@ def truth(
     as_json: Json = False,
 ) -> None:
     """Compare a calibration with the true geometry of a simulated rig."""
-    from datasets.calibration import Calibration
-    from datasets.truth import calibration_error
+    from koala3d.datasets.calibration import Calibration
+    from koala3d.datasets.truth import calibration_error
 
     found = calibration_error(recording, Calibration.load(calibration))
     text = "error of the hand-eye pose: {hand_eye_mm:.3f} mm, {hand_eye_deg:.4f} deg\n".format(**found)
@@ -195,7 +195,7 @@ def bench(
     as_json: Json = False,
 ) -> None:
     """Measure how long it takes to read 1920x1080 images and shrink them by four."""
-    from datasets.imaging.bench import read_and_shrink
+    from koala3d.datasets.imaging.bench import read_and_shrink
 
     found = read_and_shrink(count, suffix=suffix)
     text = (
@@ -214,10 +214,10 @@ def bench_check(
     as_json: Json = False,
 ) -> None:
     """Injure good scenes in every way at three strengths, and count what 'datasets check' names."""
-    from datasets.core.errors import UsageError, nearest
-    from datasets.formats import load_scene
-    from datasets.injuries.bench import table, trials
-    from datasets.injuries.injure import INJURIES
+    from koala3d.datasets.core.errors import UsageError, nearest
+    from koala3d.datasets.formats import load_scene
+    from koala3d.datasets.injuries.bench import table, trials
+    from koala3d.datasets.injuries.injure import INJURIES
 
     names = {one.name: one for one in INJURIES}
     for name in injuries or ():
@@ -237,7 +237,7 @@ def bench_reading(
     as_json: Json = False,
 ) -> None:
     """Measure how long it takes to read photographs at a smaller size, as training does, and compare it with OpenCV."""
-    from datasets.imaging.bench import read_photographs
+    from koala3d.datasets.imaging.bench import read_photographs
 
     found = read_photographs(count, scale=scale)
     found["ratio"] = found["seconds"] / found["opencv_seconds"]
@@ -258,7 +258,7 @@ segmentation.add_to(app)
 
 def _numbers(text: str) -> tuple[int, ...]:
     """The integers of a list such as "2,4,8". Raises UsageError for anything else."""
-    from datasets.core.errors import UsageError
+    from koala3d.datasets.core.errors import UsageError
 
     try:
         return tuple(int(word) for word in text.split(",") if word.strip())

@@ -9,15 +9,15 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.core import files
-from datasets.core.errors import DatasetError
-from datasets.imaging import images
-from datasets.radiometry import stored
-from datasets.radiometry.merge import SATURATED, merge
-from datasets.radiometry.mosaic import demosaiced, pattern_of
-from datasets.radiometry.response import Response
-from datasets.recording import Exposure, Frame, Recording
-from datasets.scene import View
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import DatasetError
+from koala3d.datasets.imaging import images
+from koala3d.datasets.radiometry import stored
+from koala3d.datasets.radiometry.merge import SATURATED, merge
+from koala3d.datasets.radiometry.mosaic import demosaiced, pattern_of
+from koala3d.datasets.radiometry.response import Response
+from koala3d.datasets.recording import Exposure, Frame, Recording
+from koala3d.datasets.scene import View
 
 BEYOND_WHITE = 0.001
 """Share of the pixels of a merged picture that may be brighter than white."""

@@ -15,8 +15,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from datasets import pose
-from datasets.core.errors import DatasetError
+from koala3d.datasets import pose
+from koala3d.datasets.core.errors import DatasetError
 
 Array = NDArray[np.float64]
 MAX_JOINTS = 16

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from datasets.core.errors import DatasetError
+from koala3d.datasets.core.errors import DatasetError
 
 Matrix = NDArray[np.float64]
 

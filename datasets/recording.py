@@ -21,13 +21,13 @@ from typing import Any, Self, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import pose
-from datasets.core import files
-from datasets.core.errors import DatasetError, UsageError
-from datasets.imaging.region import Region
-from datasets.kinematics import UR5E, Links
-from datasets.radiometry.response import Response
-from datasets.scene import checked_name
+from koala3d.datasets import pose
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import DatasetError, UsageError
+from koala3d.datasets.imaging.region import Region
+from koala3d.datasets.kinematics import UR5E, Links
+from koala3d.datasets.radiometry.response import Response
+from koala3d.datasets.scene import checked_name
 
 FORMAT, VERSION = "koala-recording", 1
 MAX_BYTES = 2**28

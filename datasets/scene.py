@@ -12,9 +12,9 @@ from typing import Any, Literal, Self, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.camera_model import Camera
-from datasets.core.errors import DatasetError, UsageError
-from datasets.imaging import images, reduced
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core.errors import DatasetError, UsageError
+from koala3d.datasets.imaging import images, reduced
 
 SPLITS = ("train", "val", "test")
 LightFrameName = Literal["world", "camera", "turntable"]

@@ -18,7 +18,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.core.errors import DatasetError
+from koala3d.datasets.core.errors import DatasetError
 
 Points = NDArray[np.float64]
 MIN_KNOTS, MAX_KNOTS = 4, 64

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.scene import View
+from koala3d.datasets.scene import View
 
 
 def hold_out(views: Iterable[View], every: int) -> tuple[View, ...]:

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import pose
-from datasets.calibration import Calibration
-from datasets.core import files
-from datasets.core.errors import UsageError
-from datasets.recording import TRUTH, Recording
+from koala3d.datasets import pose
+from koala3d.datasets.calibration import Calibration
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.recording import TRUTH, Recording
 
 POSES = "poses.json"
 FORMAT, VERSION = "koala-truth", 1

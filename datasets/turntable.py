@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from datasets import pose
-from datasets.core.errors import DatasetError
+from koala3d.datasets import pose
+from koala3d.datasets.core.errors import DatasetError
 
 Array = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ COMMANDS = (
 
 def on_files(files: Any, config: Any) -> Any:
     """Add the page."""
-    from reconstruct.bench import peers, report
+    from koala3d.reconstruct.bench import peers, report
 
     folder = Path(config.docs_dir) / "bench"
     page = report.render(folder, peers.read(folder / "peers.csv"), made_by=COMMANDS)

@@ -9,12 +9,12 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from capture.planning import plan
-from capture.rig.description import RigDescription
-from capture.trajectory import load_trajectory
-from datasets.camera_model import Camera
-from datasets.conventions import OPENCV_FROM_LLFF, OPENCV_FROM_OPENGL
-from datasets.kinematics import link_frames
+from koala3d.capture.planning import plan
+from koala3d.capture.rig.description import RigDescription
+from koala3d.capture.trajectory import load_trajectory
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.conventions import OPENCV_FROM_LLFF, OPENCV_FROM_OPENGL
+from koala3d.datasets.kinematics import link_frames
 
 Array = NDArray[np.float64]
 SESSION = Path(__file__).parent.parent / "configs" / "trajectories" / "calibration_demo.yaml"

@@ -21,10 +21,10 @@ import drawings
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.core import console
-from datasets.core.errors import KoalaError, UsageError
-from datasets.imaging import images
-from datasets.recording import Recording
+from koala3d.datasets.core import console
+from koala3d.datasets.core.errors import KoalaError, UsageError
+from koala3d.datasets.imaging import images
+from koala3d.datasets.recording import Recording
 
 WIDTH, HEIGHT, PANEL = 1280, 720, 400
 """Size of the browser's window, and width of the panel in it [px]."""
@@ -81,10 +81,10 @@ def contact_sheet(recording: Path, chosen: tuple[int, ...], *, width: int, colum
 
 def plan(name: str, path: Path) -> None:
     """The plot of `capture plan --plot` for a shipped trajectory."""
-    from capture.planning import Obstacles, draw, duration
-    from capture.planning import plan as planned_views
-    from capture.rig.description import RigDescription
-    from capture.trajectory import load_trajectory
+    from koala3d.capture.planning import Obstacles, draw, duration
+    from koala3d.capture.planning import plan as planned_views
+    from koala3d.capture.rig.description import RigDescription
+    from koala3d.capture.trajectory import load_trajectory
 
     session = load_trajectory(drawings.SESSION.with_name(f"{name}.yaml"))
     mount = RigDescription().flange_from_camera.matrix()

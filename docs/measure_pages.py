@@ -22,9 +22,9 @@ from typing import Any
 import numpy as np
 from make_figures import chromium, run_program, served
 
-from datasets.core import console
-from datasets.core.errors import KoalaError, UsageError, nearest
-from datasets.page import open_page
+from koala3d.datasets.core import console
+from koala3d.datasets.core.errors import KoalaError, UsageError, nearest
+from koala3d.datasets.page import open_page
 
 KINDS = ("alone", "open", "moving")
 """Kinds of trainings."""
@@ -76,8 +76,8 @@ class Watched:
     """The page of a run in this process, with the times at which pictures were sent."""
 
     def __init__(self, page: Any, path: Path) -> None:
-        from reconstruct.page.run_page import show
-        from reconstruct.run import Run
+        from koala3d.reconstruct.page.run_page import show
+        from koala3d.reconstruct.run import Run
 
         self.sent: list[tuple[float, int]] = []
         shown = show(page, Run.open(path))
@@ -146,7 +146,7 @@ def training(scene: Path, seconds: float, *kinds: str) -> dict[str, Any]:
 def _trained(scene: Path, seconds: float, kind: str) -> dict[str, float]:
     folder = Path(tempfile.mkdtemp())
     options = ["--budget", f"{seconds:g}", "--set", "train.checkpoint_s=15", "--json", "--out", str(folder / "run")]
-    command = [sys.executable, "-m", "reconstruct.cli", "train", str(scene), *options]
+    command = [sys.executable, "-m", "koala3d.reconstruct.cli", "train", str(scene), *options]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     log = folder / "run" / "log.jsonl"
     try:

@@ -22,15 +22,15 @@ import numpy as np
 from make_figures import PATIENCE_S, chromium, run_program
 from numpy.typing import NDArray
 
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.core import console
-from datasets.core.errors import KoalaError, UsageError
-from datasets.imaging import images
-from reconstruct.asset.stage import reading
-from reconstruct.asset.stage.stage import Stage
-from reconstruct.bench.asset.proof import shown
-from reconstruct.output.trained_model import TrainedModel
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core import console
+from koala3d.datasets.core.errors import KoalaError, UsageError
+from koala3d.datasets.imaging import images
+from koala3d.reconstruct.asset.stage import reading
+from koala3d.reconstruct.asset.stage.stage import Stage
+from koala3d.reconstruct.bench.asset.proof import shown
+from koala3d.reconstruct.output.trained_model import TrainedModel
 
 Picture = NDArray[np.float32]
 

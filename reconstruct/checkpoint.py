@@ -15,10 +15,10 @@ from typing import Any, TypeVar
 import jax
 import numpy as np
 
-from datasets.core import files
-from datasets.core.console import hint
-from datasets.core.errors import KoalaError
-from reconstruct.errors import ReconstructError
+from koala3d.datasets.core import files
+from koala3d.datasets.core.console import hint
+from koala3d.datasets.core.errors import KoalaError
+from koala3d.reconstruct.errors import ReconstructError
 
 KEPT = 2
 CHECKSUMS = "checksums.json"

@@ -5,22 +5,22 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from datasets.core import console
-from reconstruct.asset import command as asset_command
-from reconstruct.bench import commands as bench_commands
-from reconstruct.diagnosis import command as diagnosis_command
-from reconstruct.options import Preset
-from reconstruct.output import commands as output_commands
-from reconstruct.studies import commands as study_commands
-from reconstruct.training import command as train_command
+from koala3d.datasets.core import console
+from koala3d.reconstruct.asset import command as asset_command
+from koala3d.reconstruct.bench import commands as bench_commands
+from koala3d.reconstruct.diagnosis import command as diagnosis_command
+from koala3d.reconstruct.options import Preset
+from koala3d.reconstruct.output import commands as output_commands
+from koala3d.reconstruct.studies import commands as study_commands
+from koala3d.reconstruct.training import command as train_command
 
 app = console.make_app("reconstruct", "Train Surf-NeRF on a scene, evaluate it, and export images and geometry.")
 
 
 def models(preset: Preset = "fast", as_json: console.Json = False) -> None:
     """List the models: encoding, appearance and regularisers under the chosen preset."""
-    from reconstruct.listing import models_text
-    from reconstruct.models import overview
+    from koala3d.reconstruct.listing import models_text
+    from koala3d.reconstruct.models import overview
 
     rows = overview(preset)
     console.report({"models": rows}, as_json=as_json, text=models_text(rows))
@@ -28,7 +28,7 @@ def models(preset: Preset = "fast", as_json: console.Json = False) -> None:
 
 def backend(as_json: console.Json = False) -> None:
     """Say what training will run on, and with which kernels."""
-    from reconstruct.device import found
+    from koala3d.reconstruct.device import found
 
     about = found()
     console.report(about, as_json=as_json, text=str(about["text"]))
@@ -45,10 +45,10 @@ def view(
     as_json: console.Json = False,
 ) -> None:
     """Explore a run in the browser, during training or afterwards."""
-    from datasets.core.errors import UsageError
-    from datasets.page import open_page
-    from reconstruct.backend import cache_compilations
-    from reconstruct.run import RUN, Run
+    from koala3d.datasets.core.errors import UsageError
+    from koala3d.datasets.page import open_page
+    from koala3d.reconstruct.backend import cache_compilations
+    from koala3d.reconstruct.run import RUN, Run
 
     if (asset is None) != (light is None):
         remedy = "reconstruct asset RUN --out FILE.glb --light FILE.exr writes both"
@@ -58,14 +58,14 @@ def view(
     cache_compilations()
     with open_page(path.name, port) as page:
         if (path / RUN).is_file():
-            from reconstruct.page.run_page import show
-            from reconstruct.page.wipe import lit_asset
+            from koala3d.reconstruct.page.run_page import show
+            from koala3d.reconstruct.page.wipe import lit_asset
 
             lit = lit_asset(asset, light) if asset is not None and light is not None else None
             show(page, Run.open(path), mesh=mesh, asset=lit)
         else:
-            from datasets.formats import load_scene
-            from datasets.page.view import show as show_scene
+            from koala3d.datasets.formats import load_scene
+            from koala3d.datasets.page.view import show as show_scene
 
             show_scene(page, path, load_scene(path), quick=True)
         console.report({"url": page.url, "path": str(path)}, as_json=as_json, text=f"{page.url} shows {path}; Ctrl-C ends it")

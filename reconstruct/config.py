@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from datasets.core.schema import Schema
+from koala3d.datasets.core.schema import Schema
 
 
 def setting(default: Any, description: str, **limits: Any) -> Any:

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from datasets.core.console import hint
-from datasets.core.findings import Finding
+from koala3d.datasets.core.console import hint
+from koala3d.datasets.core.findings import Finding
 
 EARLY_S = 30.0
 """Seconds of training from which a verdict is given."""

@@ -7,7 +7,7 @@ def found() -> dict[str, Any]:
     """What JAX computes on, whether compiled kernels run there, and a line that says so."""
     import jax
 
-    from reconstruct.kernels import native
+    from koala3d.reconstruct.kernels import native
 
     devices, why_not = jax.devices(), native.why_not()
     where = f"{len(devices)} x {devices[0].device_kind}" if len(devices) > 1 else devices[0].device_kind

@@ -1,6 +1,6 @@
 """Errors of reconstruction."""
 
-from datasets.core.errors import KoalaError
+from koala3d.datasets.core.errors import KoalaError
 
 
 class ReconstructError(KoalaError):

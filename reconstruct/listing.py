@@ -7,7 +7,7 @@ from typing import Any, Literal, Union, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from reconstruct.config import Config
+from koala3d.reconstruct.config import Config
 
 CHOSEN_ELSEWHERE = ("model", "preset")  # keys of a configuration that have options of their own
 

@@ -13,9 +13,9 @@ from typing import Any
 
 from pydantic import Field
 
-from datasets.core.errors import UsageError, nearest
-from datasets.core.schema import Schema, read_yaml, validate
-from reconstruct.config import Config
+from koala3d.datasets.core.errors import UsageError, nearest
+from koala3d.datasets.core.schema import Schema, read_yaml, validate
+from koala3d.reconstruct.config import Config
 
 PRESETS = ("fast", "paper")
 Tree = dict[str, Any]
@@ -102,7 +102,7 @@ def merged(below: Tree, changes: Tree) -> Tree:
 def _folder() -> Path:
     from importlib.resources import files
 
-    return Path(str(files("configs"))) / "models"
+    return Path(str(files("koala3d.configs"))) / "models"
 
 
 def _path(model: str) -> Path:

@@ -8,7 +8,7 @@ from typer import Argument, Option
 
 def _models(incomplete: str) -> list[str]:
     """Completions for the shell."""
-    from reconstruct.models import names
+    from koala3d.reconstruct.models import names
 
     return [name for name in names() if name.startswith(incomplete)]
 

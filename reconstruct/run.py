@@ -17,13 +17,13 @@ from typing import Any
 
 import numpy as np
 
-from datasets.core import files
-from datasets.core.errors import DatasetError, UsageError
-from datasets.imaging.copies import Copies
-from datasets.scene import Scene
-from reconstruct.config import Config, SkipConfig
-from reconstruct.scene.facts import SceneFacts
-from reconstruct.scene.rays import Normalisation
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import DatasetError, UsageError
+from koala3d.datasets.imaging.copies import Copies
+from koala3d.datasets.scene import Scene
+from koala3d.reconstruct.config import Config, SkipConfig
+from koala3d.reconstruct.scene.facts import SceneFacts
+from koala3d.reconstruct.scene.rays import Normalisation
 
 FORMAT, VERSION = "koala-run", 1
 RUN, LOG, FAULTS, CHECKPOINTS, SKIPS = "run.json", "log.jsonl", "faults.jsonl", "checkpoints", "skips.json"
@@ -100,7 +100,7 @@ class Run:
 
     def scene(self) -> Scene:
         """The scene that it was trained on, with the object's box that was measured for it then."""
-        from datasets.formats import load_scene
+        from koala3d.datasets.formats import load_scene
 
         scene = load_scene(self.scene_path)
         if "box" not in self.content:

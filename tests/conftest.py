@@ -15,12 +15,12 @@ import pytest
 from hypothesis import settings
 from jaxtyping import install_import_hook
 
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.core import files
-from datasets.imaging import images
-from datasets.recording import Frame, Recording
-from datasets.scene import Scene, View
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core import files
+from koala3d.datasets.imaging import images
+from koala3d.datasets.recording import Frame, Recording
+from koala3d.datasets.scene import Scene, View
 from tests.browser import browse as browse
 from tests.browser import chromium as chromium
 from tests.clients import client as client
@@ -50,7 +50,9 @@ _NUMERICS = (
     "training.objective",
     "training.schedules",
 )
-install_import_hook([f"reconstruct.{name}" for name in _NUMERICS], "beartype.beartype")  # shapes as annotated, or an error
+install_import_hook(
+    [f"koala3d.reconstruct.{name}" for name in _NUMERICS], "beartype.beartype"
+)  # shapes as annotated, or an error
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # shells start background jobs with SIGINT ignored
     signal.signal(signal.SIGINT, signal.default_int_handler)

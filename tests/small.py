@@ -12,15 +12,15 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from datasets.core.console import progress
-from datasets.scene import Scene
-from reconstruct import models
-from reconstruct.config import Config
-from reconstruct.scene.facts import SceneFacts
-from reconstruct.scene.rays import Normalisation, Pixels
-from reconstruct.training.beginning.starting import start
-from reconstruct.training.programs import Programs
-from reconstruct.training.step import Step, TrainState
+from koala3d.datasets.core.console import progress
+from koala3d.datasets.scene import Scene
+from koala3d.reconstruct import models
+from koala3d.reconstruct.config import Config
+from koala3d.reconstruct.scene.facts import SceneFacts
+from koala3d.reconstruct.scene.rays import Normalisation, Pixels
+from koala3d.reconstruct.training.beginning.starting import start
+from koala3d.reconstruct.training.programs import Programs
+from koala3d.reconstruct.training.step import Step, TrainState
 
 SIZES: dict[str, dict[str, Any]] = {
     "encoding": {"levels": 3, "log2_size": 8, "coarsest": 2.0, "finest": 16.0},

@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-import configs
-from datasets.core.errors import UsageError
-from datasets.core.schema import read_yaml
+from koala3d import configs
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.core.schema import read_yaml
 
 CONFIGS = Path(__file__).parent.parent / "configs"
 FILES = sorted(CONFIGS.rglob("*.yaml"))
@@ -17,27 +17,27 @@ FILES = sorted(CONFIGS.rglob("*.yaml"))
 def loader(folder: str) -> Callable[[Path], Any]:
     """The function that reads the files of one folder below configs/."""
     if folder == "trajectories":
-        from capture.trajectory import load_trajectory
+        from koala3d.capture.trajectory import load_trajectory
 
         return load_trajectory
     if folder == "boards":
-        from datasets.targets.board import load_board
+        from koala3d.datasets.targets.board import load_board
 
         return load_board
     if folder == "rigs":
-        from capture.rig.description import load_rig
+        from koala3d.capture.rig.description import load_rig
 
         return load_rig
     if folder == "arms":
-        from capture.arms.model import load_arm
+        from koala3d.capture.arms.model import load_arm
 
         return load_arm
     if folder == "imports":
-        from calib.sessions.importer import load_description
+        from koala3d.calib.sessions.importer import load_description
 
         return load_description
     if folder == "models":
-        from reconstruct.models import PRESETS, load_config
+        from koala3d.reconstruct.models import PRESETS, load_config
 
         return lambda path: [load_config(path.stem, preset) for preset in PRESETS]
     raise AssertionError(f"configs/{folder} holds files, but no reader is known for them: add it here")
@@ -56,7 +56,7 @@ def test_it_loads(path: Path) -> None:
 
 @pytest.mark.parametrize("path", [path for path in FILES if path.parent.name == "trajectories"], ids=lambda path: path.stem)
 def test_trajectories_have_views_and_a_split(path: Path) -> None:
-    from capture.trajectory import load_trajectory
+    from koala3d.capture.trajectory import load_trajectory
 
     views = load_trajectory(path).viewpoints()
     assert len({view.name for view in views}) == len(views) > 1

@@ -1,18 +1,18 @@
-"""The rules of the code base: who may import whom, how large folders, files and functions may be, and that `datasets` is ours."""
+"""The rules of the code base: what is installed, who may import whom, how large folders, files and functions may be."""
 
 import ast
 import subprocess
 import sys
 from collections.abc import Iterator
 from functools import cache
+from importlib.metadata import distribution
 from pathlib import Path
 
 import pytest
 
-import datasets
-
 ROOT = Path(__file__).parent.parent
 PACKAGES = ("capture", "calib", "datasets", "reconstruct")
+OURS = "koala3d."
 ALLOWED = {package: {package, "datasets", "configs"} for package in PACKAGES} | {"datasets": {"datasets"}}
 VENDORS = {"OpenImageIO": 1, "pypylon": 1, "mitsuba": 3, "rtde_control": 1, "pycolmap": 4}
 VENDORS |= {"harvesters": 1, "genicam": 1, "pyrealsense2": 2, "gphoto2": 1, "ray": 1}
@@ -40,17 +40,19 @@ def nodes(path: Path) -> list[ast.AST]:
 
 @cache
 def imported(path: Path) -> set[str]:
-    """Top-level names of all imports of a file, those inside functions included."""
+    """Our packages and others' that a file imports, those inside functions included."""
     return {name.split(".")[0] for node in nodes(path) for name in imported_names(node)}
 
 
 def imported_names(node: ast.AST) -> set[str]:
-    """Full names that one import statement can refer to: of `from a import b`, both "a" and "a.b"."""
+    """Full names that an import statement can refer to, ours without `koala3d.`: for `from a import b`, both "a" and "a.b"."""
+    names: set[str] = set()
     if isinstance(node, ast.Import):
-        return {alias.name for alias in node.names}
-    if isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
-        return {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
-    return set()
+        names = {alias.name for alias in node.names}
+    elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+        names = {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
+    assert not names & {*PACKAGES, "configs"}, f"import koala3d.{min(names)}: another package may have the short name"
+    return {name.removeprefix(OURS) for name in names} - {OURS.removesuffix(".")}
 
 
 def running(node: ast.AST, *, functions: bool = True) -> Iterator[ast.AST]:
@@ -101,9 +103,9 @@ def test_the_walk_finds_the_packages() -> None:
     assert {path.relative_to(ROOT).parts[0] for path in modules()} == set(PACKAGES)
 
 
-def test_datasets_is_ours() -> None:
-    """Another package of this name is widely installed; importing that one would confuse the user."""
-    assert Path(datasets.__file__).parent == ROOT / "datasets"
+def test_one_name_is_installed() -> None:
+    """Packages called `datasets` or `capture` would overwrite others' files: `make install-check` tries it."""
+    assert (distribution("koala-capture").read_text("top_level.txt") or "").split() == ["koala3d"]
 
 
 @pytest.mark.parametrize("package", PACKAGES)
@@ -157,7 +159,7 @@ def test_only_pages_need_the_page_library() -> None:
 def test_datasets_imports_without_heavy_libraries() -> None:
     """Everything but the pages is imported in a process where viser, pycolmap and matplotlib are missing."""
     paths = [path for path in sorted((ROOT / "datasets").rglob("*.py")) if "page" not in path.parts and path.stem != "drawing"]
-    names = [".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__") for path in paths]
+    names = [OURS + ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__") for path in paths]
     code = f"import sys; sys.modules.update(dict.fromkeys(['viser', 'pycolmap', 'matplotlib'])); import {', '.join(names)}"
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT, timeout=120)
 

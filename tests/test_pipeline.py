@@ -103,7 +103,7 @@ def test_from_trajectory_to_measured_surface(tmp_path: Path, inside: Callable[..
 @pytest.mark.parametrize("layout", ["blender", "llff"])
 def test_exported_scenes_hold_what_the_training_needs(tmp_path: Path, layout: str, make_scene: Any) -> None:
     """The same small training on a scene and on its export ends within 0.3 dB."""
-    from datasets.formats import koala
+    from koala3d.datasets.formats import koala
 
     koala.save(make_scene(count=16), tmp_path / "scene")
     run("datasets", "export", tmp_path / "scene", "--format", layout, "--out", tmp_path / "exported")

@@ -13,17 +13,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import calib.cli
-import capture.cli
-from datasets import pose
-from datasets.calibration import Calibration, UncertainPose
-from datasets.core import files
-from datasets.recording import Recording
+import koala3d.calib.cli
+import koala3d.capture.cli
+from koala3d.datasets import pose
+from koala3d.datasets.calibration import Calibration, UncertainPose
+from koala3d.datasets.core import files
+from koala3d.datasets.recording import Recording
 
 NAMES = ("left", "right")
 VIEWS = 12
 SMALL = [f"views.0.count={VIEWS}", "camera.binning=4", "camera.width=480", "camera.height=270"]
-MAIN = {"capture": capture.cli.main, "calib": calib.cli.main}
+MAIN = {"capture": koala3d.capture.cli.main, "calib": calib.cli.main}
 RUN = ["run", "calibration_demo", "--rig", "sim:ur5e_stereo", "--resume", "--json"]
 
 
@@ -49,7 +49,7 @@ def lines(path: Path) -> list[str]:
 
 def killed(out: Path, frames: int) -> None:
     """Start the session and kill it once the second camera has taken so many views."""
-    command = [sys.executable, "-m", "capture.cli", *words_for(out)]
+    command = [sys.executable, "-m", "koala3d.capture.cli", *words_for(out)]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
         deadline = time.monotonic() + 240
         while len(lines(out / "right" / "frames.jsonl")) < frames and process.poll() is None and time.monotonic() < deadline:

@@ -6,23 +6,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import configs
-from calib import calibrate
-from calib.sessions.session import TargetSession, observe_recording
-from capture.arms.model import load_arm
-from capture.planning import blocked
-from capture.recording.recorder import record
-from capture.rig.description import RigDescription, recorded_carrier
-from capture.rig.opening import Rig, describe
-from capture.sim.camera import SimulatedCamera
-from capture.sim.kinematic_arm import KinematicArm
-from capture.sim.truth import RigTruth
-from capture.trajectory import load_trajectory
-from datasets import pose, truth
-from datasets.calibration import Calibration
-from datasets.camera_model import Camera
-from datasets.core import files
-from datasets.recording import Recording
+from koala3d import configs
+from koala3d.calib import calibrate
+from koala3d.calib.sessions.session import TargetSession, observe_recording
+from koala3d.capture.arms.model import load_arm
+from koala3d.capture.planning import blocked
+from koala3d.capture.recording.recorder import record
+from koala3d.capture.rig.description import RigDescription, recorded_carrier
+from koala3d.capture.rig.opening import Rig, describe
+from koala3d.capture.sim.camera import SimulatedCamera
+from koala3d.capture.sim.kinematic_arm import KinematicArm
+from koala3d.capture.sim.truth import RigTruth
+from koala3d.capture.trajectory import load_trajectory
+from koala3d.datasets import pose, truth
+from koala3d.datasets.calibration import Calibration
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core import files
+from koala3d.datasets.recording import Recording
 
 SMALL = ["camera.binning=4", "camera.width=480", "camera.height=270", "motion.settle_time_s=0.01"]
 GRID = "{kind: aprilgrid, squares_x: 4, squares_y: 3, square_length_m: 0.0624, marker_length_m: 0.048}"

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from calib.cli import app
-from capture.recording.recorder import record
-from capture.rig.opening import open_rig
-from capture.trajectory import load_trajectory
-from datasets.calibration import Calibration, UncertainPose
-from datasets.camera_model import Camera
-from datasets.core import files
-from datasets.core.errors import UsageError
-from datasets.imaging.region import Region
-from datasets.recording import Recording
-from datasets.turntable import Axis
+from koala3d.calib.cli import app
+from koala3d.capture.recording.recorder import record
+from koala3d.capture.rig.opening import open_rig
+from koala3d.capture.trajectory import load_trajectory
+from koala3d.datasets.calibration import Calibration, UncertainPose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.imaging.region import Region
+from koala3d.datasets.recording import Recording
+from koala3d.datasets.turntable import Axis
 
 SMALL = ["views.0.count=1", "views.0.turntable.steps=4", "camera.binning=4", "camera.width=480", "camera.height=270"]
 

@@ -4,18 +4,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib import calibrate
-from calib.advice import information, rough
-from calib.advice.information import Known
-from calib.arrays import Array
-from calib.errors import CalibrationError, TargetError, Unobservable
-from calib.handeye import outliers, uncertainty
-from calib.handeye.model import Accuracy
-from calib.intrinsics import lenses, projection
-from calib.sessions.session import TargetSession
-from calib.targets import screening
-from datasets.advice import Figures
-from datasets.calibration import Calibration
+from koala3d.calib import calibrate
+from koala3d.calib.advice import information, rough
+from koala3d.calib.advice.information import Known
+from koala3d.calib.arrays import Array
+from koala3d.calib.errors import CalibrationError, TargetError, Unobservable
+from koala3d.calib.handeye import outliers, uncertainty
+from koala3d.calib.handeye.model import Accuracy
+from koala3d.calib.intrinsics import lenses, projection
+from koala3d.calib.sessions.session import TargetSession
+from koala3d.calib.targets import screening
+from koala3d.datasets.advice import Figures
+from koala3d.datasets.calibration import Calibration
 
 PATIENCE = 10  # views after which a calibration that is refused is no longer put down to too few views
 RENEW = 2.0  # the calibration starts anew, lens included, when there are this many times the views of the last time

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.errors import TargetError
-from calib.sessions.session import TargetSession, grey, provenance_of
-from calib.targets.detection import Observation, detect, read_board
-from datasets.imaging import images
-from datasets.imaging.region import Region
-from datasets.recording import MANIFEST, Recording
+from koala3d.calib.errors import TargetError
+from koala3d.calib.sessions.session import TargetSession, grey, provenance_of
+from koala3d.calib.targets.detection import Observation, detect, read_board
+from koala3d.datasets.imaging import images
+from koala3d.datasets.imaging.region import Region
+from koala3d.datasets.recording import MANIFEST, Recording
 
 
 @dataclass

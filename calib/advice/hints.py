@@ -8,13 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.advice import information
-from calib.advice.information import Known
-from calib.advice.patterns import Pattern, Rig, viewpoints
-from calib.arrays import Array
-from datasets import pose
-from datasets.advice import Figures
-from datasets.targets.board import Board
+from koala3d.calib.advice import information
+from koala3d.calib.advice.information import Known
+from koala3d.calib.advice.patterns import Pattern, Rig, viewpoints
+from koala3d.calib.arrays import Array
+from koala3d.datasets import pose
+from koala3d.datasets.advice import Figures
+from koala3d.datasets.targets.board import Board
 
 DRAWN = 150  # views per change; of them about half show the board
 WORTH = 0.85  # a change is named if it lowers the worse figure to this share

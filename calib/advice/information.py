@@ -12,15 +12,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtri
 
-from calib.arrays import Array, Mask
-from calib.handeye import model
-from calib.handeye.model import Session, State
-from calib.handeye.refine import Sigmas
-from calib.intrinsics import projection
-from calib.solver.elimination import covariance_of
-from datasets.advice import Figures
-from datasets.camera_model import Camera
-from datasets.targets.board import Board
+from koala3d.calib.arrays import Array, Mask
+from koala3d.calib.handeye import model
+from koala3d.calib.handeye.model import Session, State
+from koala3d.calib.handeye.refine import Sigmas
+from koala3d.calib.intrinsics import projection
+from koala3d.calib.solver.elimination import covariance_of
+from koala3d.datasets.advice import Figures
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.targets.board import Board
 
 MIN_SHARE = 0.7  # smallest share of the board's corners in a view, and
 MIN_CORNERS = 8  # their smallest number on a checkered board

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import Array
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.targets.board import Board
+from koala3d.calib.arrays import Array
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.targets.board import Board
 
 Generator = np.random.Generator
 

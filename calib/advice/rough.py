@@ -10,15 +10,15 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from calib.advice.information import Known, informations
-from calib.arrays import Array
-from calib.handeye.model import Accuracy, State
-from calib.handeye.refine import Sigmas
-from calib.intrinsics import estimate, lenses, projection
-from calib.sessions.session import TargetSession
-from calib.targets.detection import Observation
-from datasets import conventions
-from datasets.camera_model import Camera
+from koala3d.calib.advice.information import Known, informations
+from koala3d.calib.arrays import Array
+from koala3d.calib.handeye.model import Accuracy, State
+from koala3d.calib.handeye.refine import Sigmas
+from koala3d.calib.intrinsics import estimate, lenses, projection
+from koala3d.calib.sessions.session import TargetSession
+from koala3d.calib.targets.detection import Observation
+from koala3d.datasets import conventions
+from koala3d.datasets.camera_model import Camera
 
 SIGMA_PX = 0.2  # usual standard deviation of a corner per axis
 FOCAL_STD, CENTRE_STD, BENDING_STD, TANGENTIAL_STD = 0.1, 0.03, 0.2, 0.01

@@ -4,15 +4,15 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 
-from calib.advice.adviser import Adviser, Wanted
-from calib.advice.growing import GrowingSession
-from calib.advice.hints import hints
-from calib.calibrate import STATED
-from calib.handeye.model import Accuracy
-from calib.sessions.session import TargetSession
-from datasets.advice import Answer, Figures, Question
-from datasets.calibration import Calibration
-from datasets.core.errors import KoalaError
+from koala3d.calib.advice.adviser import Adviser, Wanted
+from koala3d.calib.advice.growing import GrowingSession
+from koala3d.calib.advice.hints import hints
+from koala3d.calib.calibrate import STATED
+from koala3d.calib.handeye.model import Accuracy
+from koala3d.calib.sessions.session import TargetSession
+from koala3d.datasets.advice import Answer, Figures, Question
+from koala3d.datasets.calibration import Calibration
+from koala3d.datasets.core.errors import KoalaError
 
 CALIBRATION = "calibration.json"  # in the recording's folder
 

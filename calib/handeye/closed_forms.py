@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.arrays import Array, Mask
-from calib.errors import CalibrationError
-from datasets import pose
-from datasets.core.errors import KoalaError, nearest
+from koala3d.calib.arrays import Array, Mask
+from koala3d.calib.errors import CalibrationError
+from koala3d.datasets import pose
+from koala3d.datasets.core.errors import KoalaError, nearest
 
 _RELATIVE = {n: getattr(cv2, f"CALIB_HAND_EYE_{n.upper()}") for n in ("tsai", "park", "horaud", "andreff", "daniilidis")}
 _ABSOLUTE = {n: getattr(cv2, f"CALIB_ROBOT_WORLD_HAND_EYE_{n.upper()}") for n in ("shah", "li")}

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.arrays import Array
-from calib.handeye import refine
-from calib.handeye.model import Session, State
-from calib.handeye.refine import Refined
+from koala3d.calib.arrays import Array
+from koala3d.calib.handeye import refine
+from koala3d.calib.handeye.model import Session, State
+from koala3d.calib.handeye.refine import Refined
 
 TRIED = (0.005, 2e-3)
 """Stretch, and sag [m], that are taken for possible: a bad printer and a thin plate."""

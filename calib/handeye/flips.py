@@ -8,12 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.arrays import Array, Indices
-from calib.errors import CalibrationError
-from calib.handeye import closed_forms
-from calib.sessions.session import TargetSession
-from datasets import pose
-from datasets.core.errors import KoalaError
+from koala3d.calib.arrays import Array, Indices
+from koala3d.calib.errors import CalibrationError
+from koala3d.calib.handeye import closed_forms
+from koala3d.calib.sessions.session import TargetSession
+from koala3d.datasets import pose
+from koala3d.datasets.core.errors import KoalaError
 
 
 def readings(session: TargetSession, camera_from_board: Array) -> list[Array]:

@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from calib.arrays import Array
-from calib.errors import CalibrationError
-from calib.handeye import refine, verify
-from calib.handeye.model import Accuracy, Session
-from calib.handeye.refine import Refined
-from calib.sessions.session import TargetSession
-from datasets import kinematics, pose
-from datasets.calibration import LinkErrors
+from koala3d.calib.arrays import Array
+from koala3d.calib.errors import CalibrationError
+from koala3d.calib.handeye import refine, verify
+from koala3d.calib.handeye.model import Accuracy, Session
+from koala3d.calib.handeye.refine import Refined
+from koala3d.calib.sessions.session import TargetSession
+from koala3d.datasets import kinematics, pose
+from koala3d.datasets.calibration import LinkErrors
 
 MAX_BUILT_M, MAX_BUILT_RAD = 0.05, float(np.deg2rad(3))
 """Largest credible distance of the flange from the nominal kinematics; beyond it, it is another arm or another pose."""

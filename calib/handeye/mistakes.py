@@ -7,11 +7,11 @@ from itertools import product
 
 import numpy as np
 
-from calib.arrays import Array
-from calib.errors import CalibrationError
-from calib.handeye import closed_forms
-from datasets import pose
-from datasets.core.errors import KoalaError
+from koala3d.calib.arrays import Array
+from koala3d.calib.errors import CalibrationError
+from koala3d.calib.handeye import closed_forms
+from koala3d.datasets import pose
+from koala3d.datasets.core.errors import KoalaError
 
 BETTER = 5.0  # factor by which undoing a mistake must improve the agreement of the views
 POOR = 0.02  # no mistake is suspected if the median disagreement of the views, in units of the distance they cover, is below this

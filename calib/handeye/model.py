@@ -25,16 +25,16 @@ from functools import cached_property
 
 import numpy as np
 
-from calib.arrays import Array, Indices, Mask
-from calib.errors import CalibrationError
-from calib.handeye import surface
-from calib.intrinsics import estimate, projection
-from calib.intrinsics.known import Known
-from calib.intrinsics.projection import PLAIN, Form
-from calib.sessions.session import TargetSession
-from calib.solver.geometry import by_motion, exponential, rotate
-from datasets import kinematics, pose
-from datasets.kinematics import UR5E, Links
+from koala3d.calib.arrays import Array, Indices, Mask
+from koala3d.calib.errors import CalibrationError
+from koala3d.calib.handeye import surface
+from koala3d.calib.intrinsics import estimate, projection
+from koala3d.calib.intrinsics.known import Known
+from koala3d.calib.intrinsics.projection import PLAIN, Form
+from koala3d.calib.sessions.session import TargetSession
+from koala3d.calib.solver.geometry import by_motion, exponential, rotate
+from koala3d.datasets import kinematics, pose
+from koala3d.datasets.kinematics import UR5E, Links
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.arrays import Array
-from calib.errors import CalibrationError
+from koala3d.calib.arrays import Array
+from koala3d.calib.errors import CalibrationError
 
 ALIKE = np.deg2rad(1.0)
 """Angles within this agree: twice what hobby arms and small boards scatter by; of random pairs of views 3 to 5 % do."""

@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.arrays import Mask
-from calib.handeye import model, refine, uncertainty
-from calib.handeye.model import Accuracy, Session, State
-from calib.handeye.refine import Refined
-from calib.intrinsics.estimate import MIN_TOTAL_CORNERS, check_enough
-from calib.intrinsics.known import Known
-from calib.intrinsics.projection import PLAIN, Form
-from calib.sessions.session import TargetSession
+from koala3d.calib.arrays import Mask
+from koala3d.calib.handeye import model, refine, uncertainty
+from koala3d.calib.handeye.model import Accuracy, Session, State
+from koala3d.calib.handeye.refine import Refined
+from koala3d.calib.intrinsics.estimate import MIN_TOTAL_CORNERS, check_enough
+from koala3d.calib.intrinsics.known import Known
+from koala3d.calib.intrinsics.projection import PLAIN, Form
+from koala3d.calib.sessions.session import TargetSession
 
 LIMIT = 6.0  # a view is left out if its correction is this many times the usual one; chance does that once in ten million views
 MAX_SHARE = 0.4  # largest share of views that is left out: if more disagree, the arm is less accurate than stated

@@ -17,11 +17,11 @@ from typing import Any, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 
-from calib.arrays import Array, Indices, Mask
-from calib.errors import CalibrationError
-from calib.handeye.model import Accuracy, Session, State, perturbed, predict
-from calib.solver.elimination import Eliminated, eliminate
-from calib.solver.levenberg_marquardt import Limits, minimise
+from koala3d.calib.arrays import Array, Indices, Mask
+from koala3d.calib.errors import CalibrationError
+from koala3d.calib.handeye.model import Accuracy, Session, State, perturbed, predict
+from koala3d.calib.solver.elimination import Eliminated, eliminate
+from koala3d.calib.solver.levenberg_marquardt import Limits, minimise
 
 HUBER = 3.0  # width of Huber's loss in sigmas, in a session with outliers; a good corner exceeds it once in 90 times
 CHANCE = 0.01  # share of sessions without outliers that are taken to have some, because their largest residual is rare

@@ -23,10 +23,10 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
 
-from calib.arrays import Array
-from calib.handeye import links
-from calib.handeye.refine import PRIOR_VIEWS, Problem, Refined, S, Sigmas, linear_system
-from datasets import kinematics
+from koala3d.calib.arrays import Array
+from koala3d.calib.handeye import links
+from koala3d.calib.handeye.refine import PRIOR_VIEWS, Problem, Refined, S, Sigmas, linear_system
+from koala3d.datasets import kinematics
 
 LENGTH_M, ANGLE_RAD = 5e-4, float(np.deg2rad(0.05))
 """Errors of lengths and angles of the links at a scale of one: those of an arm that was not measured after it was built."""

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.arrays import Array
+from koala3d.calib.arrays import Array
 
 NAMES = (
     "stretch of the target along x",

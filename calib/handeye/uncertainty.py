@@ -7,14 +7,14 @@ from view to view. `calib.handeye.repeating` adds what repeats.
 
 import numpy as np
 
-from calib.arrays import Array
-from calib.errors import Unobservable
-from calib.handeye import surface
-from calib.handeye.model import Session
-from calib.handeye.refine import Refined
-from calib.intrinsics import estimate, projection
-from datasets import pose
-from datasets.calibration import UncertainPose
+from koala3d.calib.arrays import Array
+from koala3d.calib.errors import Unobservable
+from koala3d.calib.handeye import surface
+from koala3d.calib.handeye.model import Session
+from koala3d.calib.handeye.refine import Refined
+from koala3d.calib.intrinsics import estimate, projection
+from koala3d.datasets import pose
+from koala3d.datasets.calibration import UncertainPose
 
 MIN_TURN_RAD = float(np.deg2rad(3))  # rms angle about an axis below which the flange counts as not having turned about it
 MAX_STD_M, MAX_STD_RAD = 5e-3, float(np.deg2rad(1))

@@ -6,18 +6,18 @@ from typing import Any
 
 import numpy as np
 
-from calib.arrays import Array, Mask
-from calib.errors import CalibrationError
-from calib.handeye import closed_forms, model, surface
-from calib.handeye.model import Accuracy, Session, State, camera_points, predict
-from calib.handeye.refine import Refined, fit_board, refine
-from calib.intrinsics import estimate, projection
-from calib.intrinsics.estimate import rms
-from calib.sessions.session import TargetSession
-from datasets.calibration import Calibration
-from datasets.camera_model import Camera
-from datasets.core.errors import UsageError
-from datasets.splits import folds
+from koala3d.calib.arrays import Array, Mask
+from koala3d.calib.errors import CalibrationError
+from koala3d.calib.handeye import closed_forms, model, surface
+from koala3d.calib.handeye.model import Accuracy, Session, State, camera_points, predict
+from koala3d.calib.handeye.refine import Refined, fit_board, refine
+from koala3d.calib.intrinsics import estimate, projection
+from koala3d.calib.intrinsics.estimate import rms
+from koala3d.calib.sessions.session import TargetSession
+from koala3d.datasets.calibration import Calibration
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.splits import folds
 
 FOLDS = 5  # parts into which a session is divided; each is predicted from the rest
 

@@ -9,16 +9,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.arrays import Array, Indices
-from calib.errors import CalibrationError
-from calib.intrinsics import projection
-from calib.intrinsics.known import Known
-from calib.intrinsics.projection import PLAIN, Form
-from calib.solver.elimination import Eliminated, eliminate
-from calib.solver.geometry import by_motion, rotate
-from calib.solver.levenberg_marquardt import Limits, minimise
-from datasets import pose
-from datasets.camera_model import Camera
+from koala3d.calib.arrays import Array, Indices
+from koala3d.calib.errors import CalibrationError
+from koala3d.calib.intrinsics import projection
+from koala3d.calib.intrinsics.known import Known
+from koala3d.calib.intrinsics.projection import PLAIN, Form
+from koala3d.calib.solver.elimination import Eliminated, eliminate
+from koala3d.calib.solver.geometry import by_motion, rotate
+from koala3d.calib.solver.levenberg_marquardt import Limits, minimise
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calib.arrays import Array
-from calib.intrinsics import estimate, over_image
-from calib.intrinsics.lenses import Lens
-from calib.intrinsics.over_image import Map
-from calib.targets.detection import Observation
-from datasets import pose
-from datasets.camera_model import Camera
+from koala3d.calib.arrays import Array
+from koala3d.calib.intrinsics import estimate, over_image
+from koala3d.calib.intrinsics.lenses import Lens
+from koala3d.calib.intrinsics.over_image import Map
+from koala3d.calib.targets.detection import Observation
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
 
 
 def cross_validate(camera: Camera, lens: Lens, observations: Sequence[Observation], camera_from_board: Array) -> Map:

@@ -14,16 +14,16 @@ import cv2
 import numpy as np
 from scipy.stats import t as student
 
-from calib.arrays import Array
-from calib.errors import CalibrationError, TargetError, Unobservable
-from calib.intrinsics import bundle, projection, splined
-from calib.intrinsics.lenses import BROWN, EVERY, FISHEYE, USUAL, Lens, Spline
-from calib.targets import screening
-from calib.targets.detection import Observation
-from datasets import conventions, pose
-from datasets.camera_model import Camera
-from datasets.core.errors import KoalaError
-from datasets.splits import folds
+from koala3d.calib.arrays import Array
+from koala3d.calib.errors import CalibrationError, TargetError, Unobservable
+from koala3d.calib.intrinsics import bundle, projection, splined
+from koala3d.calib.intrinsics.lenses import BROWN, EVERY, FISHEYE, USUAL, Lens, Spline
+from koala3d.calib.targets import screening
+from koala3d.calib.targets.detection import Observation
+from koala3d.datasets import conventions, pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core.errors import KoalaError
+from koala3d.datasets.splits import folds
 
 MIN_VIEWS = 5
 MIN_TOTAL_CORNERS = 100

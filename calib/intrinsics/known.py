@@ -6,8 +6,8 @@ from functools import cached_property
 
 import numpy as np
 
-from calib.arrays import Array
-from calib.intrinsics import projection
+from koala3d.calib.arrays import Array
+from koala3d.calib.intrinsics import projection
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from calib.intrinsics import projection
-from datasets.spline import Grid
+from koala3d.calib.intrinsics import projection
+from koala3d.datasets.spline import Grid
 
 
 @dataclass(frozen=True)

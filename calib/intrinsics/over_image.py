@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import Array
-from datasets.camera_model import Camera
+from koala3d.calib.arrays import Array
+from koala3d.datasets.camera_model import Camera
 
 
 @dataclass(frozen=True)

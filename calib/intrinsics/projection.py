@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.arrays import Array
-from datasets.camera_model import Camera, fisheye_radial
-from datasets.spline import Grid, Spline
+from koala3d.calib.arrays import Array
+from koala3d.datasets.camera_model import Camera, fisheye_radial
+from koala3d.datasets.spline import Grid, Spline
 
 NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 

@@ -11,13 +11,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.arrays import Array
-from calib.errors import TargetError
-from calib.intrinsics import bundle, over_image, projection
-from calib.intrinsics.known import Known
-from calib.solver.geometry import by_motion
-from datasets.camera_model import Camera
-from datasets.spline import Grid, Spline
+from koala3d.calib.arrays import Array
+from koala3d.calib.errors import TargetError
+from koala3d.calib.intrinsics import bundle, over_image, projection
+from koala3d.calib.intrinsics.known import Known
+from koala3d.calib.solver.geometry import by_motion
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.spline import Grid, Spline
 
 MIN_CORNERS = 250
 CORNERS_PER_CELL = 25  # of the image, on average, where the grid is finer than its coarsest

@@ -6,15 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.arrays import Array, Indices, Mask
-from calib.errors import CalibrationError
-from calib.handeye import flips, model, refine, surface, verify
-from calib.handeye.model import Accuracy, State
-from calib.intrinsics import estimate, projection
-from calib.sessions.session import TargetSession
-from datasets import pose
-from datasets.calibration import Calibration
-from datasets.core.errors import UsageError
+from koala3d.calib.arrays import Array, Indices, Mask
+from koala3d.calib.errors import CalibrationError
+from koala3d.calib.handeye import flips, model, refine, surface, verify
+from koala3d.calib.handeye.model import Accuracy, State
+from koala3d.calib.intrinsics import estimate, projection
+from koala3d.calib.sessions.session import TargetSession
+from koala3d.datasets import pose
+from koala3d.datasets.calibration import Calibration
+from koala3d.datasets.core.errors import UsageError
 
 CORRECTED, REPORTED, ALONE = "arm corrected", "arm as reported", "camera alone"
 """Kinds of residuals: each view with the correction that its corners ask for; with the arm's pose as reported; without an arm."""

@@ -8,13 +8,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
-from calib.arrays import Array
-from calib.handeye import verify
-from calib.intrinsics.over_image import Map
-from calib.page.evidence import Evidence
-from datasets import pose
-from datasets.calibration import UncertainPose
-from datasets.camera_model import Camera
+from koala3d.calib.arrays import Array
+from koala3d.calib.handeye import verify
+from koala3d.calib.intrinsics.over_image import Map
+from koala3d.calib.page.evidence import Evidence
+from koala3d.datasets import pose
+from koala3d.datasets.calibration import UncertainPose
+from koala3d.datasets.camera_model import Camera
 
 CHI2_95 = 5.991  # 95 % point of chi-square with two degrees of freedom: the truth lies in the ellipse in 95 of 100 sessions
 

@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import Any
 
-from calib.page.summary import describe_calibration, notes
-from datasets.calibration import Calibration
-from datasets.core import console
+from koala3d.calib.page.summary import describe_calibration, notes
+from koala3d.datasets.calibration import Calibration
+from koala3d.datasets.core import console
 
 
 def finish(calibration: Calibration, out: Path, json: bool) -> None:

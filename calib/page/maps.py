@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from calib.arrays import Array
-from calib.intrinsics import projection
-from calib.intrinsics.over_image import Map, cells
-from calib.solver.geometry import by_motion
-from datasets.calibration import Calibration, UncertainPose
-from datasets.core.errors import UsageError
+from koala3d.calib.arrays import Array
+from koala3d.calib.intrinsics import projection
+from koala3d.calib.intrinsics.over_image import Map, cells
+from koala3d.calib.solver.geometry import by_motion
+from koala3d.datasets.calibration import Calibration, UncertainPose
+from koala3d.datasets.core.errors import UsageError
 
 AXES = [f"{kind} {axis}" for kind in ("translation", "rotation") for axis in "xyz"]
 COLUMNS = 48  # square cells along the image's width

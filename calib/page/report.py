@@ -4,14 +4,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calib.errors import CalibrationError
-from calib.intrinsics import crossval, estimate, lenses, projection, splined
-from calib.page import figures
-from calib.page.evidence import Evidence
-from calib.page.summary import RELAXED, notes
-from datasets import pose
-from datasets.calibration import Calibration, LinkErrors, UncertainPose
-from datasets.reports.html import Number, ReportPage
+from koala3d.calib.errors import CalibrationError
+from koala3d.calib.intrinsics import crossval, estimate, lenses, projection, splined
+from koala3d.calib.page import figures
+from koala3d.calib.page.evidence import Evidence
+from koala3d.calib.page.summary import RELAXED, notes
+from koala3d.datasets import pose
+from koala3d.datasets.calibration import Calibration, LinkErrors, UncertainPose
+from koala3d.datasets.reports.html import Number, ReportPage
 
 CENTRE = {"fx": "focal length", "fy": "focal length", "cx": "principal point", "cy": "principal point"}
 MEANINGS = {

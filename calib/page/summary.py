@@ -5,12 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from calib.handeye import links, surface
-from calib.handeye.uncertainty import MAX_STD_M
-from calib.handeye.verify import Verification
-from calib.intrinsics import projection, splined
-from datasets import pose
-from datasets.calibration import Calibration, UncertainPose
+from koala3d.calib.handeye import links, surface
+from koala3d.calib.handeye.uncertainty import MAX_STD_M
+from koala3d.calib.handeye.verify import Verification
+from koala3d.calib.intrinsics import projection, splined
+from koala3d.datasets import pose
+from koala3d.datasets.calibration import Calibration, UncertainPose
 
 RELAXED = " (bound relaxed)"
 """Mark of poses that would have been refused, or might have been, without `--allow-mm`."""

@@ -11,21 +11,21 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from calib.arrays import Array
-from calib.errors import CalibrationError
-from calib.handeye import verify
-from calib.page import figures
-from calib.page.evidence import CORRECTED, Evidence, Sighting, gather, recording_of
-from calib.page.summary import describe_calibration
-from calib.sessions.importer import observe_folder
-from calib.targets.detection import read_board
-from datasets.calibration import Calibration
-from datasets.core.errors import KoalaError
-from datasets.imaging import images
-from datasets.page import Page, PicturePanel, shapes
-from datasets.page.panel import WIDTH, bytes_of
-from datasets.targets.board import Board
-from datasets.targets.pattern import Pattern
+from koala3d.calib.arrays import Array
+from koala3d.calib.errors import CalibrationError
+from koala3d.calib.handeye import verify
+from koala3d.calib.page import figures
+from koala3d.calib.page.evidence import CORRECTED, Evidence, Sighting, gather, recording_of
+from koala3d.calib.page.summary import describe_calibration
+from koala3d.calib.sessions.importer import observe_folder
+from koala3d.calib.targets.detection import read_board
+from koala3d.datasets.calibration import Calibration
+from koala3d.datasets.core.errors import KoalaError
+from koala3d.datasets.imaging import images
+from koala3d.datasets.page import Page, PicturePanel, shapes
+from koala3d.datasets.page.panel import WIDTH, bytes_of
+from koala3d.datasets.targets.board import Board
+from koala3d.datasets.targets.pattern import Pattern
 
 DISC_CORNERS = 24  # of the polygons that stand for circles
 THUMBNAIL = 96  # width of the pictures on the cameras [px]

@@ -25,18 +25,18 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
-import configs
-from calib.arrays import Array
-from calib.errors import CalibrationError
-from calib.sessions.session import TargetSession, observe, observe_recording
-from calib.targets.detection import check_markers
-from datasets import conventions, pose
-from datasets.camera_model import Camera
-from datasets.core import files, plain_yaml
-from datasets.core.errors import DatasetError, UsageError
-from datasets.core.schema import Schema, load_yaml
-from datasets.recording import MANIFEST, Recording
-from datasets.targets.board import Board, load_board
+from koala3d import configs
+from koala3d.calib.arrays import Array
+from koala3d.calib.errors import CalibrationError
+from koala3d.calib.sessions.session import TargetSession, observe, observe_recording
+from koala3d.calib.targets.detection import check_markers
+from koala3d.datasets import conventions, pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core import files, plain_yaml
+from koala3d.datasets.core.errors import DatasetError, UsageError
+from koala3d.datasets.core.schema import Schema, load_yaml
+from koala3d.datasets.recording import MANIFEST, Recording
+from koala3d.datasets.targets.board import Board, load_board
 
 DESCRIPTION = "import.yaml"
 DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")

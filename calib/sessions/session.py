@@ -9,16 +9,16 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.arrays import Array, Mask
-from calib.errors import TargetError
-from calib.targets.detection import Observation, detect, read_board
-from datasets import pose
-from datasets.core import files
-from datasets.imaging import images
-from datasets.imaging.region import Region
-from datasets.kinematics import UR5E, Links
-from datasets.recording import FRAMES, MANIFEST, Recording
-from datasets.targets.board import Board
+from koala3d.calib.arrays import Array, Mask
+from koala3d.calib.errors import TargetError
+from koala3d.calib.targets.detection import Observation, detect, read_board
+from koala3d.datasets import pose
+from koala3d.datasets.core import files
+from koala3d.datasets.imaging import images
+from koala3d.datasets.imaging.region import Region
+from koala3d.datasets.kinematics import UR5E, Links
+from koala3d.datasets.recording import FRAMES, MANIFEST, Recording
+from koala3d.datasets.targets.board import Board
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from calib.arrays import Array, Indices
+from koala3d.calib.arrays import Array, Indices
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from calib.arrays import Array
-from datasets import pose
+from koala3d.calib.arrays import Array
+from koala3d.datasets import pose
 
 
 def rotate(rotations: Array, points: Array) -> Array:

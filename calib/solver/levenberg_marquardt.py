@@ -5,7 +5,7 @@ from typing import Protocol, Self, TypeVar
 
 import numpy as np
 
-from calib.errors import CalibrationError
+from koala3d.calib.errors import CalibrationError
 
 START = 1e-6  # damping of the first step
 

@@ -17,17 +17,17 @@ from itertools import product
 
 import numpy as np
 
-from calib.arrays import Array
-from calib.handeye import closed_forms, refine
-from calib.handeye.model import Accuracy, State
-from calib.intrinsics import bundle
-from calib.solver.geometry import rms_difference
-from calib.study import ratios
-from calib.study.ratios import Ratio
-from calib.study.simulate import KOALA, Pattern, Rig, Simulated, simulate, viewpoints
-from datasets.calibration import UncertainPose
-from datasets.core.errors import KoalaError
-from datasets.targets.board import Board
+from koala3d.calib.arrays import Array
+from koala3d.calib.handeye import closed_forms, refine
+from koala3d.calib.handeye.model import Accuracy, State
+from koala3d.calib.intrinsics import bundle
+from koala3d.calib.solver.geometry import rms_difference
+from koala3d.calib.study import ratios
+from koala3d.calib.study.ratios import Ratio
+from koala3d.calib.study.simulate import KOALA, Pattern, Rig, Simulated, simulate, viewpoints
+from koala3d.datasets.calibration import UncertainPose
+from koala3d.datasets.core.errors import KoalaError
+from koala3d.datasets.targets.board import Board
 
 RIG = replace(KOALA, board=Board.of("chessboard", 7, 6, 0.04))  # the Koala rig with a board of 30 corners, seen whole
 REFINED, DRAWN, BOUND = "refinement", "bound as drawn", "bound"

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from calib.arrays import Array
-from calib.handeye import closed_forms
-from calib.study.bench import BOUND, EXACT, REFINED, Errors, Point, Result
-from calib.study.ratios import Ratio
-from datasets.core import files
+from koala3d.calib.arrays import Array
+from koala3d.calib.handeye import closed_forms
+from koala3d.calib.study.bench import BOUND, EXACT, REFINED, Errors, Point, Result
+from koala3d.calib.study.ratios import Ratio
+from koala3d.datasets.core import files
 
 TIE = 1.005  # a thousand trials cannot distinguish methods whose errors differ by less than 0.5 %
 ROUNDING = 1e-4  # an arm without error is stated as accurate to 1 um and 1e-4 degrees, which causes differences of this size

@@ -5,8 +5,8 @@ from typing import Annotated
 
 from typer import Option
 
-from datasets.core import console
-from datasets.core.console import Json
+from koala3d.datasets.core import console
+from koala3d.datasets.core.console import Json
 
 Seed = Annotated[int, Option("--seed", min=0, help="Seed of the noise.")]
 
@@ -27,9 +27,9 @@ def bench(
 
     Sessions are simulated without pictures. Errors are compared with the Cramer-Rao bound.
     """
-    from calib.study import bench_report
-    from calib.study.bench import full_grid, quick_grid, run
-    from datasets.core.files import refuse_existing
+    from koala3d.calib.study import bench_report
+    from koala3d.calib.study.bench import full_grid, quick_grid, run
+    from koala3d.datasets.core.files import refuse_existing
 
     refuse_existing(out)
     if coverage:
@@ -44,7 +44,7 @@ def bench(
 
 def _measure_coverage(out: Path, rigs: int, quick: bool, seed: int, json: bool) -> None:
     """The part of `calib bench --coverage`; with `quick` two conditions."""
-    from calib.study import coverage
+    from koala3d.calib.study import coverage
 
     conditions = coverage.CONDITIONS[:2] if quick else coverage.CONDITIONS
     with console.progress("measuring", len(conditions) * rigs, "rigs") as bar:
@@ -63,7 +63,7 @@ def study(
 
     Simulates the Koala rig and prints a table (Markdown).
     """
-    from calib.study import variants
+    from koala3d.calib.study import variants
 
     with console.progress("simulating", len(variants.VARIANTS), "kinds of session") as bar:
         outcomes = list(variants.run(sessions, seed, done=lambda outcome: bar.advance()))

@@ -11,18 +11,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib import calibrate
-from calib.arrays import Array, Mask
-from calib.calibrate import STATED
-from calib.handeye import closed_forms, model, refine, verify
-from calib.handeye.model import Accuracy, Session, State
-from calib.handeye.outliers import Fit
-from calib.handeye.refine import Refined
-from calib.intrinsics import projection
-from calib.sessions.session import TargetSession
-from datasets import pose
-from datasets.calibration import Calibration
-from datasets.core.errors import KoalaError
+from koala3d.calib import calibrate
+from koala3d.calib.arrays import Array, Mask
+from koala3d.calib.calibrate import STATED
+from koala3d.calib.handeye import closed_forms, model, refine, verify
+from koala3d.calib.handeye.model import Accuracy, Session, State
+from koala3d.calib.handeye.outliers import Fit
+from koala3d.calib.handeye.refine import Refined
+from koala3d.calib.intrinsics import projection
+from koala3d.calib.sessions.session import TargetSession
+from koala3d.datasets import pose
+from koala3d.datasets.calibration import Calibration
+from koala3d.datasets.core.errors import KoalaError
 
 
 @dataclass(frozen=True)

@@ -14,20 +14,20 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from calib import calibrate
-from calib.arrays import Array
-from calib.handeye import repeating
-from calib.handeye.model import Accuracy
-from calib.sessions.session import TargetSession
-from calib.solver.geometry import rms_difference
-from calib.study.rehearsal import ARM, SIGMA_PX, draw_rig
-from calib.study.simulate import Pattern, Rig, simulate, viewpoints
-from calib.study.variants import target_session
-from datasets import kinematics, pose
-from datasets.calibration import Calibration, UncertainPose
-from datasets.core import files
-from datasets.core.errors import KoalaError
-from datasets.kinematics import UR5E, Links
+from koala3d.calib import calibrate
+from koala3d.calib.arrays import Array
+from koala3d.calib.handeye import repeating
+from koala3d.calib.handeye.model import Accuracy
+from koala3d.calib.sessions.session import TargetSession
+from koala3d.calib.solver.geometry import rms_difference
+from koala3d.calib.study.rehearsal import ARM, SIGMA_PX, draw_rig
+from koala3d.calib.study.simulate import Pattern, Rig, simulate, viewpoints
+from koala3d.calib.study.variants import target_session
+from koala3d.datasets import kinematics, pose
+from koala3d.datasets.calibration import Calibration, UncertainPose
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import KoalaError
+from koala3d.datasets.kinematics import UR5E, Links
 
 PATTERN = Pattern((20.0, 50.0), (0.3, 0.5))
 POSTURE = np.array([0.3, -1.8, 1.9, -1.6, -1.5, 0.5])  # near which the arm takes its views [rad]

@@ -12,16 +12,16 @@ from typing import Any
 import numpy as np
 import yaml
 
-from calib.advice.information import Known, informations
-from calib.advice.patterns import Pattern, Rig, viewpoints
-from calib.arrays import Array
-from calib.calibrate import Solution
-from calib.errors import CalibrationError
-from calib.handeye.model import State
-from calib.intrinsics import projection
-from datasets import pose
-from datasets.calibration import UncertainPose
-from datasets.core import files
+from koala3d.calib.advice.information import Known, informations
+from koala3d.calib.advice.patterns import Pattern, Rig, viewpoints
+from koala3d.calib.arrays import Array
+from koala3d.calib.calibrate import Solution
+from koala3d.calib.errors import CalibrationError
+from koala3d.calib.handeye.model import State
+from koala3d.calib.intrinsics import projection
+from koala3d.datasets import pose
+from koala3d.datasets.calibration import UncertainPose
+from koala3d.datasets.core import files
 
 LEVER_M = 0.4  # rotation errors are weighed by the motion they cause at this distance, that of the object from the camera
 CANDIDATES = 400

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.arrays import Array, Indices
+from koala3d.calib.arrays import Array, Indices
 
 DRAWS = 1000
 LEVEL = (2.5, 97.5)  # percentiles of an interval that holds the truth in 95 of 100 cases

@@ -9,23 +9,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.advice import information
-from calib.advice.adviser import Adviser, Wanted
-from calib.advice.information import Known
-from calib.advice.serve import answered
-from calib.arrays import Array
-from calib.handeye import model
-from calib.handeye.model import Accuracy
-from calib.handeye.refine import Sigmas
-from calib.intrinsics import lenses, projection
-from calib.sessions.session import TargetSession
-from calib.solver.geometry import rms_difference
-from calib.study.simulate import KOALA, Rig, simulate
-from calib.targets.detection import Observation
-from datasets import pose
-from datasets.advice import Answer, Figures, Question
-from datasets.camera_model import Camera
-from datasets.core.errors import UsageError
+from koala3d.calib.advice import information
+from koala3d.calib.advice.adviser import Adviser, Wanted
+from koala3d.calib.advice.information import Known
+from koala3d.calib.advice.serve import answered
+from koala3d.calib.arrays import Array
+from koala3d.calib.handeye import model
+from koala3d.calib.handeye.model import Accuracy
+from koala3d.calib.handeye.refine import Sigmas
+from koala3d.calib.intrinsics import lenses, projection
+from koala3d.calib.sessions.session import TargetSession
+from koala3d.calib.solver.geometry import rms_difference
+from koala3d.calib.study.simulate import KOALA, Rig, simulate
+from koala3d.calib.targets.detection import Observation
+from koala3d.datasets import pose
+from koala3d.datasets.advice import Answer, Figures, Question
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core.errors import UsageError
 
 SIGMA_PX = 0.1
 ARM = Accuracy(3e-5, float(np.deg2rad(0.005)))

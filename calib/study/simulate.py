@@ -8,16 +8,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.advice.information import inside_image
-from calib.advice.patterns import Pattern, Rig, viewpoints
-from calib.arrays import Array
-from calib.handeye import model
-from calib.handeye.model import Accuracy, Session, State
-from calib.intrinsics import projection
-from calib.targets.detection import Observation
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.targets.board import Board
+from koala3d.calib.advice.information import inside_image
+from koala3d.calib.advice.patterns import Pattern, Rig, viewpoints
+from koala3d.calib.arrays import Array
+from koala3d.calib.handeye import model
+from koala3d.calib.handeye.model import Accuracy, Session, State
+from koala3d.calib.intrinsics import projection
+from koala3d.calib.targets.detection import Observation
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.targets.board import Board
 
 __all__ = ["KOALA", "Pattern", "Rig", "Simulated", "simulate", "viewpoints"]
 Generator = np.random.Generator

@@ -8,17 +8,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib import calibrate
-from calib.arrays import Array
-from calib.errors import CalibrationError
-from calib.handeye import closed_forms
-from calib.handeye.model import Accuracy
-from calib.intrinsics import estimate
-from calib.sessions.session import TargetSession
-from calib.solver.geometry import rms_difference
-from calib.study import next_views
-from calib.study.simulate import KOALA, Pattern, Rig, Simulated, simulate, viewpoints
-from datasets.targets.board import Board
+from koala3d.calib import calibrate
+from koala3d.calib.arrays import Array
+from koala3d.calib.errors import CalibrationError
+from koala3d.calib.handeye import closed_forms
+from koala3d.calib.handeye.model import Accuracy
+from koala3d.calib.intrinsics import estimate
+from koala3d.calib.sessions.session import TargetSession
+from koala3d.calib.solver.geometry import rms_difference
+from koala3d.calib.study import next_views
+from koala3d.calib.study.simulate import KOALA, Pattern, Rig, Simulated, simulate, viewpoints
+from koala3d.datasets.targets.board import Board
 
 SIGMA_PX = 0.1
 ARM = Accuracy(3e-5, float(np.deg2rad(0.005)))  # per axis: what a UR5e repeats to

@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.arrays import Array, Indices
-from calib.targets import plane_map
-from calib.targets.plane_map import PlaneMap
-from datasets.targets.board import Board
+from koala3d.calib.arrays import Array, Indices
+from koala3d.calib.targets import plane_map
+from koala3d.calib.targets.plane_map import PlaneMap
+from koala3d.datasets.targets.board import Board
 
 RIM = 32  # points on the rim of a circle from which the centroid of its picture is computed
 ROUNDS = 3

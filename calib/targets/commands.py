@@ -5,18 +5,18 @@ from typing import TYPE_CHECKING, Annotated
 
 from typer import Option
 
-from datasets.core import console
-from datasets.core.errors import UsageError
+from koala3d.datasets.core import console
+from koala3d.datasets.core.errors import UsageError
 
 if TYPE_CHECKING:
-    from datasets.targets.board import Board
+    from koala3d.datasets.targets.board import Board
 
 
 def board_named(path: Path) -> "Board":
     """A target by its shipped name or its file. Raises UsageError or TargetError where there is none, or it cannot be printed."""
-    import configs
-    from calib.targets.detection import check_markers
-    from datasets.targets.board import load_board
+    from koala3d import configs
+    from koala3d.calib.targets.detection import check_markers
+    from koala3d.datasets.targets.board import load_board
 
     return check_markers(load_board(configs.find("boards", path)), where=path)
 
@@ -41,8 +41,8 @@ def board(
     as_json: console.Json = False,
 ) -> None:
     """Make a target to print, in true size."""
-    from calib.targets import printing
-    from calib.targets.detection import read_board
+    from koala3d.calib.targets import printing
+    from koala3d.calib.targets.detection import read_board
 
     if shipped is not None:
         target = board_named(shipped)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf
 
-from calib.arrays import Array
+from koala3d.calib.arrays import Array
 
 MAX_RADIUS_PX = 9  # pixels further from the corner are left out: there the lens bends the edges
 MIN_PIXELS = 24  # a corner with fewer pixels in its disc keeps its place

@@ -7,15 +7,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.arrays import Array, Indices
-from calib.errors import TargetError
-from calib.targets import circles, corners, tags
-from datasets import conventions
-from datasets.core.errors import UsageError, nearest
-from datasets.core.schema import validate
-from datasets.imaging.images import linear_from_srgb
-from datasets.targets.board import Board
-from datasets.targets.pattern import dictionary_of
+from koala3d.calib.arrays import Array, Indices
+from koala3d.calib.errors import TargetError
+from koala3d.calib.targets import circles, corners, tags
+from koala3d.datasets import conventions
+from koala3d.datasets.core.errors import UsageError, nearest
+from koala3d.datasets.core.schema import validate
+from koala3d.datasets.imaging.images import linear_from_srgb
+from koala3d.datasets.targets.board import Board
+from koala3d.datasets.targets.pattern import dictionary_of
 
 MIN_CORNERS = 8  # a view of a checkered target with fewer corners is left out; of tags, one whole tag will do
 _SUBPIXEL = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 60, 1e-4)

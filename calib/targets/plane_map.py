@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from calib.arrays import Array
+from koala3d.calib.arrays import Array
 
 FEWEST = 9  # points that determine the map
 _STEPS = 8

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.arrays import Array
-from datasets.core import files
-from datasets.core.errors import UsageError
-from datasets.targets.board import Board
-from datasets.targets.pattern import Pattern
+from koala3d.calib.arrays import Array
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.targets.board import Board
+from koala3d.datasets.targets.pattern import Pattern
 
 MARGIN_MM = 10.0
 FOOTER_MM = 14.0

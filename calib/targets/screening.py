@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
-from calib.arrays import Array, Mask
-from calib.targets.detection import MIN_CORNERS, Observation
+from koala3d.calib.arrays import Array, Mask
+from koala3d.calib.targets.detection import MIN_CORNERS, Observation
 
 TOLERANCE = 1.0  # largest distance from a homography that a lens may cause, in units of the distance between neighbouring corners
 BENT_SHARE = 0.1  # if more than half of the views would lose more than this share of their corners, the lens is the reason

@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.arrays import Indices
-from datasets.targets.board import Board
-from datasets.targets.pattern import dictionary_of
+from koala3d.calib.arrays import Indices
+from koala3d.datasets.targets.board import Board
+from koala3d.datasets.targets.pattern import dictionary_of
 
 WIDENED_PX = (0, 1, 2, 3)
 """By how much white is widened to part tags from the squares that touch them: of an AprilGrid each is tried."""

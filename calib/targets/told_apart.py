@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from itertools import combinations
 
-from datasets.core.errors import UsageError
-from datasets.targets.board import Board
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.targets.board import Board
 
 
 def markers(board: Board) -> set[tuple[str, int]]:

@@ -10,22 +10,22 @@ from typing import Any
 
 import numpy as np
 
-from calib import calibrate
-from calib.arrays import Array, Mask
-from calib.calibrate import STATED, Solution
-from calib.errors import TargetError, Unobservable
-from calib.handeye import closed_forms, flips, model, outliers, refine, repeating, uncertainty, verify
-from calib.handeye.model import Accuracy, State
-from calib.handeye.refine import Refined
-from calib.handeye.surface import FLAT
-from calib.intrinsics import estimate, projection
-from calib.intrinsics.estimate import rms
-from calib.intrinsics.known import Known
-from calib.sessions.session import TargetSession
-from calib.together import joining
-from calib.together.model import Together, TogetherState
-from datasets.calibration import Calibration, UncertainPose
-from datasets.core.errors import UsageError
+from koala3d.calib import calibrate
+from koala3d.calib.arrays import Array, Mask
+from koala3d.calib.calibrate import STATED, Solution
+from koala3d.calib.errors import TargetError, Unobservable
+from koala3d.calib.handeye import closed_forms, flips, model, outliers, refine, repeating, uncertainty, verify
+from koala3d.calib.handeye.model import Accuracy, State
+from koala3d.calib.handeye.refine import Refined
+from koala3d.calib.handeye.surface import FLAT
+from koala3d.calib.intrinsics import estimate, projection
+from koala3d.calib.intrinsics.estimate import rms
+from koala3d.calib.intrinsics.known import Known
+from koala3d.calib.sessions.session import TargetSession
+from koala3d.calib.together import joining
+from koala3d.calib.together.model import Together, TogetherState
+from koala3d.datasets.calibration import Calibration, UncertainPose
+from koala3d.datasets.core.errors import UsageError
 
 HELD_OUT = ("held_out_px", "held_out_mm", "held_out_all_px", "held_out_all_mm")
 

@@ -8,17 +8,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib import calibrate
-from calib.arrays import Array
-from calib.calibrate import STATED, Solution
-from calib.handeye import refine, repeating, uncertainty
-from calib.handeye.model import Accuracy
-from calib.sessions.session import TargetSession
-from calib.together import joining
-from calib.together.model import Together, TogetherState
-from datasets import pose
-from datasets.calibration import Calibration, UncertainPose
-from datasets.core.errors import UsageError
+from koala3d.calib import calibrate
+from koala3d.calib.arrays import Array
+from koala3d.calib.calibrate import STATED, Solution
+from koala3d.calib.handeye import refine, repeating, uncertainty
+from koala3d.calib.handeye.model import Accuracy
+from koala3d.calib.sessions.session import TargetSession
+from koala3d.calib.together import joining
+from koala3d.calib.together.model import Together, TogetherState
+from koala3d.datasets import pose
+from koala3d.datasets.calibration import Calibration, UncertainPose
+from koala3d.datasets.core.errors import UsageError
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
-from calib.options import (
+from koala3d.calib.options import (
     AllowMm,
     Arm,
     Import,
@@ -17,11 +17,11 @@ from calib.options import (
     check_lens,
     spread,
 )
-from calib.targets.commands import board_named
-from datasets.core import console
+from koala3d.calib.targets.commands import board_named
+from koala3d.datasets.core import console
 
 if TYPE_CHECKING:
-    from calib.together.cameras import Cameras
+    from koala3d.calib.together.cameras import Cameras
 
 BETWEEN = "cameras.json"
 FORMAT, VERSION = "koala-cameras", 1
@@ -49,9 +49,9 @@ def cameras(
     All must have seen one target, which nobody has moved. Beside one calibration for each camera, cameras.json holds the pose
     of every camera in the first one's frame, with its uncertainty.
     """
-    from calib.together.cameras import calibrate_cameras
-    from datasets.core import files
-    from datasets.core.errors import UsageError
+    from koala3d.calib.together.cameras import calibrate_cameras
+    from koala3d.datasets.core import files
+    from koala3d.datasets.core.errors import UsageError
 
     check_lens(lens)
     accuracy, allow_m = arm.accuracy(inexact), allowed_m(allow_mm)
@@ -97,10 +97,10 @@ def boards(
     Camera and arm are the same for all, each target has a pose, a stretch and a sag of its own. Give several recordings, or
     with --board several targets that are in the pictures of one.
     """
-    from calib.page.finish import finish
-    from calib.targets.told_apart import check_told_apart
-    from calib.together.boards import calibrate_boards
-    from datasets.core import files
+    from koala3d.calib.page.finish import finish
+    from koala3d.calib.targets.told_apart import check_told_apart
+    from koala3d.calib.together.boards import calibrate_boards
+    from koala3d.datasets.core import files
 
     check_lens(lens)
     accuracy, allow_m = arm.accuracy(inexact), allowed_m(allow_mm)

@@ -6,20 +6,20 @@ from typing import Any
 
 import numpy as np
 
-from calib import calibrate
-from calib.arrays import Array, Indices
-from calib.calibrate import Solution
-from calib.errors import CalibrationError
-from calib.handeye import repeating, uncertainty
-from calib.handeye.model import Accuracy
-from calib.handeye.refine import Refined
-from calib.sessions.session import TargetSession
-from calib.solver.elimination import covariance_of
-from calib.solver.geometry import rms_difference
-from calib.together.model import Together, TogetherState
-from datasets import pose
-from datasets.calibration import Calibration, UncertainPose
-from datasets.core.errors import UsageError
+from koala3d.calib import calibrate
+from koala3d.calib.arrays import Array, Indices
+from koala3d.calib.calibrate import Solution
+from koala3d.calib.errors import CalibrationError
+from koala3d.calib.handeye import repeating, uncertainty
+from koala3d.calib.handeye.model import Accuracy
+from koala3d.calib.handeye.refine import Refined
+from koala3d.calib.sessions.session import TargetSession
+from koala3d.calib.solver.elimination import covariance_of
+from koala3d.calib.solver.geometry import rms_difference
+from koala3d.calib.together.model import Together, TogetherState
+from koala3d.datasets import pose
+from koala3d.datasets.calibration import Calibration, UncertainPose
+from koala3d.datasets.core.errors import UsageError
 
 APART = 60.0
 """Squared distance of two poses, over their covariances, from which on something was moved. Chance exceeds 39 once in a million;

@@ -13,9 +13,9 @@ from typing import Self
 
 import numpy as np
 
-from calib.arrays import Array, Indices, Mask
-from calib.handeye.model import Accuracy, Session, State, predict
-from datasets.kinematics import Links
+from koala3d.calib.arrays import Array, Indices, Mask
+from koala3d.calib.handeye.model import Accuracy, Session, State, predict
+from koala3d.datasets.kinematics import Links
 
 
 @dataclass(frozen=True)

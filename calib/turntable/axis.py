@@ -18,13 +18,13 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from calib.arrays import Array, Indices
-from calib.errors import CalibrationError, Unobservable
-from calib.intrinsics import estimate, projection
-from calib.sessions.session import TargetSession
-from datasets import pose
-from datasets.calibration import Calibration
-from datasets.turntable import Axis
+from koala3d.calib.arrays import Array, Indices
+from koala3d.calib.errors import CalibrationError, Unobservable
+from koala3d.calib.intrinsics import estimate, projection
+from koala3d.calib.sessions.session import TargetSession
+from koala3d.datasets import pose
+from koala3d.datasets.calibration import Calibration
+from koala3d.datasets.turntable import Axis
 
 LEAST_TURN_RAD = float(np.deg2rad(20))  # of the table, between any two views
 FEWEST_VIEWS = 4

@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
-from datasets.core import console
-from datasets.core.errors import UsageError
+from koala3d.datasets.core import console
+from koala3d.datasets.core.errors import UsageError
 
 if TYPE_CHECKING:
-    from calib.turntable.axis import Found
+    from koala3d.calib.turntable.axis import Found
 
 SURE = 4.0  # standard deviations from which on a difference of the gear is worth a note
 
@@ -27,12 +27,12 @@ def turntable(
 
     import numpy as np
 
-    from calib.handeye.verify import check_size
-    from calib.sessions.session import observe_recording
-    from calib.turntable.axis import find
-    from datasets.calibration import Calibration
-    from datasets.core import files
-    from datasets.recording import FRAMES, Recording
+    from koala3d.calib.handeye.verify import check_size
+    from koala3d.calib.sessions.session import observe_recording
+    from koala3d.calib.turntable.axis import find
+    from koala3d.datasets.calibration import Calibration
+    from koala3d.datasets.core import files
+    from koala3d.datasets.recording import FRAMES, Recording
 
     files.refuse_existing(out)
     given, opened = Calibration.load(calibration), Recording.open(recording)

@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from capture.arms.model import DEFAULT, ArmModel, load_arm
-from capture.arms.parts import Part, Shape
-from capture.geometry import Vector
-from capture.shapes.solids import Solid
-from capture.turntables.description import TurntableDescription
-from datasets import pose
-from datasets.core.errors import UsageError
-from datasets.core.schema import Schema
+from koala3d.capture.arms.model import DEFAULT, ArmModel, load_arm
+from koala3d.capture.arms.parts import Part, Shape
+from koala3d.capture.geometry import Vector
+from koala3d.capture.shapes.solids import Solid
+from koala3d.capture.turntables.description import TurntableDescription
+from koala3d.datasets import pose
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.core.schema import Schema
 
 Array = NDArray[np.float64]
 BRACKET_RADIUS = 0.025  # of the bracket, a capsule from the flange to the camera's projection centre [m]

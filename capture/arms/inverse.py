@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.arms import numerical, ur
-from datasets import pose
-from datasets.kinematics import Links, forward
+from koala3d.capture.arms import numerical, ur
+from koala3d.datasets import pose
+from koala3d.datasets.kinematics import Links, forward
 
 Array = NDArray[np.float64]
 Solver = Callable[[Array], Array]

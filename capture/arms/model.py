@@ -14,16 +14,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
-import configs
-from capture.arms import urdf
-from capture.arms.inverse import Solver, branches, solver_for
-from capture.arms.parts import Part
-from capture.geometry import Vector
-from datasets import kinematics, pose
-from datasets.core.errors import UsageError
-from datasets.core.schema import Schema, load_yaml, validate
-from datasets.kinematics import MAX_JOINTS, Links
-from datasets.recording import MANIFEST, Recording
+from koala3d import configs
+from koala3d.capture.arms import urdf
+from koala3d.capture.arms.inverse import Solver, branches, solver_for
+from koala3d.capture.arms.parts import Part
+from koala3d.capture.geometry import Vector
+from koala3d.datasets import kinematics, pose
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.core.schema import Schema, load_yaml, validate
+from koala3d.datasets.kinematics import MAX_JOINTS, Links
+from koala3d.datasets.recording import MANIFEST, Recording
 
 Array = NDArray[np.float64]
 Numbers = list[float]

@@ -11,8 +11,8 @@ with six joints has finitely many, and a few may be missed; one with more joints
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import pose
-from datasets.kinematics import Links, forward, jacobian
+from koala3d.datasets import pose
+from koala3d.datasets.kinematics import Links, forward, jacobian
 
 Array = NDArray[np.float64]
 

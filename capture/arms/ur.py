@@ -12,7 +12,7 @@ from math import acos, atan2, cos, hypot, pi, sin, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.kinematics import Links
+from koala3d.datasets.kinematics import Links
 
 Array = NDArray[np.float64]
 ROUNDING = 1e-9

@@ -12,10 +12,10 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import pose
-from datasets.core import files
-from datasets.core.errors import UsageError
-from datasets.kinematics import Links, link_frames
+from koala3d.datasets import pose
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.kinematics import Links, link_frames
 
 Array = NDArray[np.float64]
 PARALLEL = 1e-9  # sine of the angle between two axes that count as parallel

@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.calibrating.adviser import Adviser
-from capture.recording.growing import GrowingRecording
-from capture.rig.opening import Rig
-from capture.trajectory import Trajectory
-from datasets.advice import Answer, Question
+from koala3d.capture.calibrating.adviser import Adviser
+from koala3d.capture.recording.growing import GrowingRecording
+from koala3d.capture.rig.opening import Rig
+from koala3d.capture.trajectory import Trajectory
+from koala3d.datasets.advice import Answer, Question
 
 Array = NDArray[np.float64]
 

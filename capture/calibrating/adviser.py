@@ -6,8 +6,8 @@ import tempfile
 from types import TracebackType
 from typing import IO, Self
 
-from capture.errors import CaptureError
-from datasets.advice import Answer, Question
+from koala3d.capture.errors import CaptureError
+from koala3d.datasets.advice import Answer, Question
 
 
 class AdviserError(CaptureError):
@@ -18,7 +18,7 @@ class Adviser:
     """A running adviser. Use as a context manager; leaving ends it."""
 
     def __init__(self, recording: str, options: list[str]) -> None:
-        self._command = [sys.executable, "-m", "calib.cli", "advise", recording, *options]
+        self._command = [sys.executable, "-m", "koala3d.calib.cli", "advise", recording, *options]
         self._output: IO[bytes] | None = None
         self._process: subprocess.Popen[str] | None = None
 

@@ -7,15 +7,15 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.arms.carrier import Carrier
-from capture.calibrating import loop
-from capture.calibrating.adviser import Adviser
-from capture.calibrating.loop import Goal
-from capture.planning import Obstacles, connect, move_duration, plan
-from capture.planning.durations import READOUT_S
-from capture.rig.description import RigDescription
-from capture.trajectory import Trajectory, load_trajectory
-from datasets.advice import Answer, Figures, Question
+from koala3d.capture.arms.carrier import Carrier
+from koala3d.capture.calibrating import loop
+from koala3d.capture.calibrating.adviser import Adviser
+from koala3d.capture.calibrating.loop import Goal
+from koala3d.capture.planning import Obstacles, connect, move_duration, plan
+from koala3d.capture.planning.durations import READOUT_S
+from koala3d.capture.rig.description import RigDescription
+from koala3d.capture.trajectory import Trajectory, load_trajectory
+from koala3d.datasets.advice import Answer, Figures, Question
 
 Array = NDArray[np.float64]
 

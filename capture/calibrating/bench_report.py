@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.calibrating.bench import Rehearsal, Step
-from capture.calibrating.loop import reached
-from datasets.advice import Figures
-from datasets.core import files
+from koala3d.capture.calibrating.bench import Rehearsal, Step
+from koala3d.capture.calibrating.loop import reached
+from koala3d.datasets.advice import Figures
+from koala3d.datasets.core import files
 
 COLUMNS = ("rig", "session", "views", "seconds", "stated_mm", "stated_deg", "true_mm", "true_deg", "expected_mm", "expected_deg")
 

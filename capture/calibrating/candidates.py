@@ -5,12 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.arms.carrier import Carrier
-from capture.planning import Obstacles
-from capture.planning.solutions import solve
-from capture.trajectory import Trajectory
-from capture.viewpoints import Viewpoint
-from datasets import pose
+from koala3d.capture.arms.carrier import Carrier
+from koala3d.capture.planning import Obstacles
+from koala3d.capture.planning.solutions import solve
+from koala3d.capture.trajectory import Trajectory
+from koala3d.capture.viewpoints import Viewpoint
+from koala3d.datasets import pose
 
 Array = NDArray[np.float64]
 

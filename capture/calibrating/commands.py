@@ -5,8 +5,8 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from capture.options import RigName, Settings, TakeOver, TimeScale
-from datasets.core import console
+from koala3d.capture.options import RigName, Settings, TakeOver, TimeScale
+from koala3d.datasets.core import console
 
 UntilMm = Annotated[float, Option("--until-mm", min=1e-4, help="Wanted error of the camera's place on the flange [mm].")]
 UntilDeg = Annotated[float, Option("--until-deg", min=1e-5, help="Wanted error of its orientation [deg].")]
@@ -38,12 +38,12 @@ def calibrate(
     After each view the rig is estimated, and the reachable view that tells most is taken next. Ends when both errors are below
     the wanted ones with 95 % certainty, or when no view helps. Ctrl-C stops the arm and keeps the views; --resume continues.
     """
-    from capture.calibrating import session
-    from capture.calibrating.loop import Goal
-    from capture.starting import Options
-    from capture.trajectory import load_trajectory
-    from datasets.core.errors import KoalaError, UsageError
-    from datasets.core.files import refuse_existing
+    from koala3d.capture.calibrating import session
+    from koala3d.capture.calibrating.loop import Goal
+    from koala3d.capture.starting import Options
+    from koala3d.capture.trajectory import load_trajectory
+    from koala3d.datasets.core.errors import KoalaError, UsageError
+    from koala3d.datasets.core.files import refuse_existing
 
     room = load_trajectory(trajectory, overrides=settings)
     if room.target is None:
@@ -73,8 +73,8 @@ def bench_calibrate(
 
     Pure geometry: arm, planner and noise as in the simulator, no pictures.
     """
-    from capture.calibrating import bench, bench_report
-    from datasets.core.files import refuse_existing
+    from koala3d.capture.calibrating import bench, bench_report
+    from koala3d.datasets.core.files import refuse_existing
 
     refuse_existing(out)
     with console.progress("rehearsing", rigs, "rigs") as bar:

@@ -8,13 +8,13 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.arms.carrier import Carrier
-from capture.calibrating import candidates
-from capture.calibrating.candidates import Candidate
-from capture.errors import PlanningError
-from capture.planning import move_duration
-from capture.trajectory import Trajectory
-from datasets.advice import Answer, Figures, Question
+from koala3d.capture.arms.carrier import Carrier
+from koala3d.capture.calibrating import candidates
+from koala3d.capture.calibrating.candidates import Candidate
+from koala3d.capture.errors import PlanningError
+from koala3d.capture.planning import move_duration
+from koala3d.capture.trajectory import Trajectory
+from koala3d.datasets.advice import Answer, Figures, Question
 
 Array = NDArray[np.float64]
 

@@ -6,15 +6,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from capture.calibrating import loop
-from capture.calibrating.advised import AdvisedRig
-from capture.calibrating.adviser import Adviser
-from capture.calibrating.loop import Goal, Outcome
-from capture.starting import Options
-from capture.trajectory import Trajectory
-from datasets.advice import Answer, Figures, Question
-from datasets.core import console
-from datasets.core.errors import UsageError
+from koala3d.capture.calibrating import loop
+from koala3d.capture.calibrating.advised import AdvisedRig
+from koala3d.capture.calibrating.adviser import Adviser
+from koala3d.capture.calibrating.loop import Goal, Outcome
+from koala3d.capture.starting import Options
+from koala3d.capture.trajectory import Trajectory
+from koala3d.datasets.advice import Answer, Figures, Question
+from koala3d.datasets.core import console
+from koala3d.datasets.core.errors import UsageError
 
 BAR = 24  # characters of the longer bar
 
@@ -30,7 +30,7 @@ def run(
 
     Raises UsageError: `out` holds something else. CaptureError: an error of the rig; the arm stands still, `out` can be resumed.
     """
-    from capture.rig.opening import scene_for
+    from koala3d.capture.rig.opening import scene_for
 
     if trajectory.turns:
         remedy = "calibrate with a board that stands still, then record calibration_turntable for 'calib turntable'"

@@ -9,14 +9,14 @@ from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, Self
 
-from capture.cameras.genicam_lock import release_abandoned
-from capture.cameras.nodes import put_all
-from capture.cameras.pixels import choose_format, colours
-from capture.cameras.start_state import load_default, set_colour_space, set_plain
-from capture.errors import CaptureError, RigConnectionError
-from capture.measurements import Image
-from capture.trajectory import CameraSettings
-from datasets.imaging.region import Region
+from koala3d.capture.cameras.genicam_lock import release_abandoned
+from koala3d.capture.cameras.nodes import put_all
+from koala3d.capture.cameras.pixels import choose_format, colours
+from koala3d.capture.cameras.start_state import load_default, set_colour_space, set_plain
+from koala3d.capture.errors import CaptureError, RigConnectionError
+from koala3d.capture.measurements import Image
+from koala3d.capture.trajectory import CameraSettings
+from koala3d.datasets.imaging.region import Region
 
 TRIES = 4  # attempts to get an undamaged image before the grab fails
 READY_MS = 2000  # longest time until the camera accepts a trigger [ms]

@@ -5,7 +5,7 @@ import threading
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from capture.errors import RigConnectionError
+from koala3d.capture.errors import RigConnectionError
 
 Result = TypeVar("Result")
 REMEDY = "unplug the camera, plug it in again, and continue with --resume"

@@ -8,7 +8,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from datasets.core.schema import Schema
+from koala3d.datasets.core.schema import Schema
 
 Value = bool | int | float | str
 Left = Literal["exposure_us", "gain_db", "colour_space", "factory_settings", "trigger"]

@@ -14,16 +14,16 @@ from typing import Any, Self
 
 import numpy as np
 
-from capture.cameras import refusals
-from capture.cameras.device import Device
-from capture.cameras.gentl_nodes import GenTlNodes, first_line, is_vendors, tried
-from capture.cameras.nodes import first, put, put_all
-from capture.cameras.pixels import choose_format, colours
-from capture.cameras.start_state import load_default, set_colour_space, set_plain
-from capture.errors import CaptureError, RigConnectionError
-from capture.measurements import Image
-from capture.trajectory import CameraSettings
-from datasets.imaging.region import Region
+from koala3d.capture.cameras import refusals
+from koala3d.capture.cameras.device import Device
+from koala3d.capture.cameras.gentl_nodes import GenTlNodes, first_line, is_vendors, tried
+from koala3d.capture.cameras.nodes import first, put, put_all
+from koala3d.capture.cameras.pixels import choose_format, colours
+from koala3d.capture.cameras.start_state import load_default, set_colour_space, set_plain
+from koala3d.capture.errors import CaptureError, RigConnectionError
+from koala3d.capture.measurements import Image
+from koala3d.capture.trajectory import CameraSettings
+from koala3d.datasets.imaging.region import Region
 
 TRANSFER_S = 3.0  # longest time for an image after its exposure [s]
 TRIES = 4  # attempts to get a complete image before the grab fails

@@ -3,7 +3,7 @@
 from collections.abc import Collection
 from typing import Any
 
-from capture.errors import CaptureError
+from koala3d.capture.errors import CaptureError
 
 CHANGE = "change the camera settings of the trajectory"
 

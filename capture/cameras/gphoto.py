@@ -14,13 +14,13 @@ from typing import Any, Self
 
 import numpy as np
 
-from capture.cameras import refusals
-from capture.cameras.deadline import Patient
-from capture.cameras.device import Device
-from capture.cameras.nodes import put, put_all
-from capture.errors import CaptureError, RigConnectionError
-from capture.measurements import Image, Pixels
-from capture.trajectory import CameraSettings
+from koala3d.capture.cameras import refusals
+from koala3d.capture.cameras.deadline import Patient
+from koala3d.capture.cameras.device import Device
+from koala3d.capture.cameras.nodes import put, put_all
+from koala3d.capture.errors import CaptureError, RigConnectionError
+from koala3d.capture.measurements import Image, Pixels
+from koala3d.capture.trajectory import CameraSettings
 
 OPEN_S, ANSWER_S, TRANSFER_S = 20.0, 10.0, 30.0  # longest time to open, for a setting, and for a picture beyond its exposure [s]
 BASE_ISO = 100.0

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Collection, Mapping
 from typing import Any, Protocol
 
-from capture.errors import CaptureError
+from koala3d.capture.errors import CaptureError
 
 
 class Nodes(Protocol):

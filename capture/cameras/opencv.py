@@ -12,13 +12,13 @@ from typing import Any, Self
 
 import numpy as np
 
-from capture.cameras import refusals
-from capture.cameras.deadline import Patient
-from capture.cameras.device import Device
-from capture.cameras.nodes import put, put_all
-from capture.errors import CaptureError, RigConnectionError
-from capture.measurements import Image, Pixels
-from capture.trajectory import CameraSettings
+from koala3d.capture.cameras import refusals
+from koala3d.capture.cameras.deadline import Patient
+from koala3d.capture.cameras.device import Device
+from koala3d.capture.cameras.nodes import put, put_all
+from koala3d.capture.errors import CaptureError, RigConnectionError
+from koala3d.capture.measurements import Image, Pixels
+from koala3d.capture.trajectory import CameraSettings
 
 OPEN_S, ANSWER_S = 10.0, 5.0  # longest time until a device is open, and for an answer beyond the exposure [s]
 STALE = 5  # pictures that a webcam may have buffered: four in V4L2, and the one that is being exposed

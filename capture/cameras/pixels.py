@@ -5,10 +5,10 @@ from collections.abc import Collection
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.errors import CaptureError
-from capture.measurements import Pixels
-from datasets.imaging.images import srgb_from_linear
-from datasets.radiometry.mosaic import interpolated, pattern_of
+from koala3d.capture.errors import CaptureError
+from koala3d.capture.measurements import Pixels
+from koala3d.datasets.imaging.images import srgb_from_linear
+from koala3d.datasets.radiometry.mosaic import interpolated, pattern_of
 
 RGB8 = ("RGB8", "RGB8Packed", "RGBa8", "BGR8")
 """Eight-bit colour in USB cameras, in GigE cameras and the emulation, and what other makers send."""

@@ -13,13 +13,13 @@ from typing import Any, Protocol, Self
 
 import numpy as np
 
-from capture.cameras import refusals
-from capture.cameras.device import Device
-from capture.cameras.nodes import Nodes, put, put_all
-from capture.cameras.realsense_options import OptionNodes, factory_camera, rigid, set_start_state
-from capture.errors import CaptureError, RigConnectionError
-from capture.measurements import Image
-from capture.trajectory import CameraSettings
+from koala3d.capture.cameras import refusals
+from koala3d.capture.cameras.device import Device
+from koala3d.capture.cameras.nodes import Nodes, put, put_all
+from koala3d.capture.cameras.realsense_options import OptionNodes, factory_camera, rigid, set_start_state
+from koala3d.capture.errors import CaptureError, RigConnectionError
+from koala3d.capture.measurements import Image
+from koala3d.capture.trajectory import CameraSettings
 
 STALE = 2  # pictures that may have been exposed before the request: one on its way, and one that is being exposed
 TRANSFER_MS = 3000  # longest time for a picture beyond its exposure [ms]

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.cameras.nodes import put
-from capture.errors import CaptureError
-from datasets.camera_model import Camera
+from koala3d.capture.cameras.nodes import put
+from koala3d.capture.errors import CaptureError
+from koala3d.datasets.camera_model import Camera
 
 DEPTH = "depth."  # before a name in camera.settings: of the depth sensor
 PLAIN = {"enable_auto_exposure": 0.0, "enable_auto_white_balance": 0.0, "auto_exposure_priority": 0.0}

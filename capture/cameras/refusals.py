@@ -4,9 +4,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from capture.cameras.device import Device
-from capture.errors import CaptureError
-from capture.trajectory import CameraSettings
+from koala3d.capture.cameras.device import Device
+from koala3d.capture.errors import CaptureError
+from koala3d.capture.trajectory import CameraSettings
 
 SHARE = 0.01
 """Relative difference between a setting that was asked for and the one that a camera has, which its steps may cause."""

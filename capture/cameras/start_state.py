@@ -5,8 +5,8 @@ Names and values differ by family (Basler, "PLCamera" of the pylon API): ace USB
 applies a gamma of about 0.4 by itself, so presets are off.
 """
 
-from capture.cameras.nodes import Nodes, first, put
-from capture.errors import CaptureError
+from koala3d.capture.cameras.nodes import Nodes, first, put
+from koala3d.capture.errors import CaptureError
 
 SRGB = {"ColorSpace": "sRGB", "BslColorSpace": "sRgb", "BslColorSpaceMode": "sRGB", "GammaSelector": "sRGB"}
 LINEAR = {"ColorSpace": "RGB", "BslColorSpace": "Off", "BslColorSpaceMode": "RGB"}

@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.camera_model import Camera
-from datasets.structure.votes import Silhouette
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.structure.votes import Silhouette
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.float32]

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.choosing.gain import Seen
-from capture.choosing.places import Places
-from capture.choosing.sight import Eye, facing, whichever_way_up
-from capture.planning import Obstacles
-from capture.planning.solutions import Solutions, solve
-from capture.trajectory import Trajectory, Views
-from capture.viewpoints import HemisphereViews, OrbitViews, Viewpoint
-from datasets.camera_model import Camera
+from koala3d.capture.choosing.gain import Seen
+from koala3d.capture.choosing.places import Places
+from koala3d.capture.choosing.sight import Eye, facing, whichever_way_up
+from koala3d.capture.planning import Obstacles
+from koala3d.capture.planning.solutions import Solutions, solve
+from koala3d.capture.trajectory import Trajectory, Views
+from koala3d.capture.viewpoints import HemisphereViews, OrbitViews, Viewpoint
+from koala3d.datasets.camera_model import Camera
 
 Array = NDArray[np.float64]
 

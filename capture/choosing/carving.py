@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.choosing.background import Outline
-from capture.choosing.places import Places, of_cells
-from datasets.structure.votes import Silhouette, distance_to
+from koala3d.capture.choosing.background import Outline
+from koala3d.capture.choosing.places import Places, of_cells
+from koala3d.datasets.structure.votes import Silhouette, distance_to
 
 Array = NDArray[np.float64]
 

@@ -5,17 +5,17 @@ from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option
 
-from capture.options import CalibrationFile, MeshScale, RigName, Settings
-from datasets.core import console
+from koala3d.capture.options import CalibrationFile, MeshScale, RigName, Settings
+from koala3d.datasets.core import console
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from capture.arms.carrier import Carrier
-    from capture.trajectory import Trajectory
-    from datasets.calibration import Calibration
-    from datasets.camera_model import Camera
+    from koala3d.capture.arms.carrier import Carrier
+    from koala3d.capture.trajectory import Trajectory
+    from koala3d.datasets.calibration import Calibration
+    from koala3d.datasets.camera_model import Camera
 
 STEP = 10  # the text has a line for every so many views
 
@@ -35,10 +35,10 @@ def coverage(
 
     Views are counted in the order in which they are taken. What the object stands on is left out.
     """
-    from capture.choosing.known_shape import covered_after, surface_of
-    from capture.rig.opening import describe
-    from capture.trajectory import load_trajectory
-    from datasets.calibration import Calibration
+    from koala3d.capture.choosing.known_shape import covered_after, surface_of
+    from koala3d.capture.rig.opening import describe
+    from koala3d.capture.trajectory import load_trajectory
+    from koala3d.datasets.calibration import Calibration
 
     known = None if calibration is None else Calibration.load(calibration)
     if path.is_dir():
@@ -57,13 +57,13 @@ def _recorded(path: Path, calibration: "Calibration | None") -> "tuple[Trajector
     """The trajectory of a recording, (m, 4, 4) base_from_camera of its training views, and the camera where it is known."""
     import numpy as np
 
-    from capture.choosing.session import check
-    from capture.choosing.shape import eye_of
-    from capture.rig.description import recorded_carrier
-    from capture.trajectory import recorded_trajectory
-    from datasets.build import camera_for
-    from datasets.core.errors import UsageError
-    from datasets.recording import Recording
+    from koala3d.capture.choosing.session import check
+    from koala3d.capture.choosing.shape import eye_of
+    from koala3d.capture.rig.description import recorded_carrier
+    from koala3d.capture.trajectory import recorded_trajectory
+    from koala3d.datasets.build import camera_for
+    from koala3d.datasets.core.errors import UsageError
+    from koala3d.datasets.recording import Recording
 
     recording = Recording.open(path)
     session = recorded_trajectory(recording)
@@ -82,9 +82,9 @@ def _planned(
     """(m, 4, 4) base_from_camera of the planned training views of a trajectory, and the camera where it is known."""
     import numpy as np
 
-    from capture.choosing.session import check
-    from capture.choosing.shape import eye_of, lens_of
-    from capture.planning import plan
+    from koala3d.capture.choosing.session import check
+    from koala3d.capture.choosing.shape import eye_of, lens_of
+    from koala3d.capture.planning import plan
 
     check(session)
     eye = eye_of(mount.flange_from_camera, calibration)

@@ -10,8 +10,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.choosing.places import Places
-from capture.choosing.sight import GOOD
+from koala3d.capture.choosing.places import Places
+from koala3d.capture.choosing.sight import GOOD
 
 Array = NDArray[np.float64]
 Facing = NDArray[np.float32]

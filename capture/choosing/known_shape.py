@@ -13,22 +13,22 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.arms.carrier import Carrier
-from capture.choosing import gain
-from capture.choosing.candidates import Candidate, dense, see, seen_from, within_reach
-from capture.choosing.gain import ENOUGH, Coverage, Seen
-from capture.choosing.loop import ANGLES, LEAST, MOST
-from capture.choosing.places import Places, of_mesh
-from capture.choosing.shape import UNKNOWN
-from capture.choosing.sight import Eye
-from capture.planning import Obstacles
-from capture.trajectory import Trajectory
-from capture.viewpoints import CameraPose, PoseViews, Viewpoint
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.core import files
-from datasets.core.errors import UsageError
-from datasets.core.meshes import read_mesh
+from koala3d.capture.arms.carrier import Carrier
+from koala3d.capture.choosing import gain
+from koala3d.capture.choosing.candidates import Candidate, dense, see, seen_from, within_reach
+from koala3d.capture.choosing.gain import ENOUGH, Coverage, Seen
+from koala3d.capture.choosing.loop import ANGLES, LEAST, MOST
+from koala3d.capture.choosing.places import Places, of_mesh
+from koala3d.capture.choosing.shape import UNKNOWN
+from koala3d.capture.choosing.sight import Eye
+from koala3d.capture.planning import Obstacles
+from koala3d.capture.trajectory import Trajectory
+from koala3d.capture.viewpoints import CameraPose, PoseViews, Viewpoint
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.core.meshes import read_mesh
 
 Array = NDArray[np.float64]
 

@@ -8,15 +8,15 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.choosing import gain
-from capture.choosing.candidates import Candidate, see, seen_from
-from capture.choosing.gain import Coverage, Seen
-from capture.choosing.places import Places
-from capture.choosing.sight import Eye
-from capture.errors import PlanningError
-from capture.planning import Obstacles, move_duration
-from capture.trajectory import Motion
-from datasets.camera_model import Camera
+from koala3d.capture.choosing import gain
+from koala3d.capture.choosing.candidates import Candidate, see, seen_from
+from koala3d.capture.choosing.gain import Coverage, Seen
+from koala3d.capture.choosing.places import Places
+from koala3d.capture.choosing.sight import Eye
+from koala3d.capture.errors import PlanningError
+from koala3d.capture.planning import Obstacles, move_duration
+from koala3d.capture.trajectory import Motion
+from koala3d.datasets.camera_model import Camera
 
 Array = NDArray[np.float64]
 

@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.choosing.loop import Known, Outcome, Why
-from capture.choosing.shape import Shape
-from capture.recording.growing import GrowingRecording, Use
-from capture.rig.opening import Rig
-from capture.trajectory import Trajectory
-from datasets.core.errors import UsageError
-from datasets.core.schema import validate
-from datasets.recording import CHOSEN, MANIFEST, Recording
+from koala3d.capture.choosing.loop import Known, Outcome, Why
+from koala3d.capture.choosing.shape import Shape
+from koala3d.capture.recording.growing import GrowingRecording, Use
+from koala3d.capture.rig.opening import Rig
+from koala3d.capture.trajectory import Trajectory
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.core.schema import validate
+from koala3d.datasets.recording import CHOSEN, MANIFEST, Recording
 
 Array = NDArray[np.float64]
 COMMAND = "capture run --adaptive"

@@ -4,20 +4,20 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from capture.choosing import loop
-from capture.choosing.candidates import COUNT, dense, within_reach
-from capture.choosing.gain import ENOUGH, Coverage
-from capture.choosing.loop import Goal, Outcome, Reach, Why
-from capture.choosing.recording import ChosenRecording
-from capture.choosing.shape import Shape, eye_of
-from capture.choosing.tour import TourView, tour
-from capture.errors import UnreachableError
-from capture.planning import Obstacles
-from capture.starting import Options
-from capture.trajectory import Trajectory
-from datasets.calibration import Calibration
-from datasets.core import console
-from datasets.core.errors import UsageError
+from koala3d.capture.choosing import loop
+from koala3d.capture.choosing.candidates import COUNT, dense, within_reach
+from koala3d.capture.choosing.gain import ENOUGH, Coverage
+from koala3d.capture.choosing.loop import Goal, Outcome, Reach, Why
+from koala3d.capture.choosing.recording import ChosenRecording
+from koala3d.capture.choosing.shape import Shape, eye_of
+from koala3d.capture.choosing.tour import TourView, tour
+from koala3d.capture.errors import UnreachableError
+from koala3d.capture.planning import Obstacles
+from koala3d.capture.starting import Options
+from koala3d.capture.trajectory import Trajectory
+from koala3d.datasets.calibration import Calibration
+from koala3d.datasets.core import console
+from koala3d.datasets.core.errors import UsageError
 
 Show = Callable[[int, Why, Coverage | None], None]
 
@@ -32,7 +32,7 @@ def run(trajectory: Trajectory, out: Path, goal: Goal, options: Options, calibra
     Raises UsageError: `out` holds something else, or the trajectory is of another kind. CaptureError: an error of the rig; the
     arm stands still, and `out` can be resumed.
     """
-    from capture.rig.opening import describe
+    from koala3d.capture.rig.opening import describe
 
     check(trajectory)
     carrier = describe(options.rig).carrier()

@@ -10,21 +10,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.choosing.background import outlines, table_height
-from capture.choosing.candidates import seen_from
-from capture.choosing.carving import carved
-from capture.choosing.gain import Seen
-from capture.choosing.loop import Known
-from capture.choosing.places import Places, of_box
-from capture.choosing.sight import Eye
-from capture.trajectory import Trajectory
-from datasets.build import camera_for
-from datasets.calibration import Calibration
-from datasets.camera_model import Camera
-from datasets.core.errors import UsageError
-from datasets.imaging import images
-from datasets.recording import MANIFEST, Frame, Recording
-from datasets.scene import View
+from koala3d.capture.choosing.background import outlines, table_height
+from koala3d.capture.choosing.candidates import seen_from
+from koala3d.capture.choosing.carving import carved
+from koala3d.capture.choosing.gain import Seen
+from koala3d.capture.choosing.loop import Known
+from koala3d.capture.choosing.places import Places, of_box
+from koala3d.capture.choosing.sight import Eye
+from koala3d.capture.trajectory import Trajectory
+from koala3d.datasets.build import camera_for
+from koala3d.datasets.calibration import Calibration
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.imaging import images
+from koala3d.datasets.recording import MANIFEST, Frame, Recording
+from koala3d.datasets.scene import View
 
 Array = NDArray[np.float64]
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.choosing.places import Places
-from datasets.camera_model import Camera
+from koala3d.capture.choosing.places import Places
+from koala3d.datasets.camera_model import Camera
 
 Array = NDArray[np.float64]
 Eye = Callable[[Array, Array], Array]

@@ -6,11 +6,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.arms.carrier import Carrier
-from capture.choosing.candidates import within_reach
-from capture.errors import UnreachableError
-from capture.planning import Obstacles, plan
-from capture.trajectory import Trajectory
+from koala3d.capture.arms.carrier import Carrier
+from koala3d.capture.choosing.candidates import within_reach
+from koala3d.capture.errors import UnreachableError
+from koala3d.capture.planning import Obstacles, plan
+from koala3d.capture.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.errors import RigConnectionError
-from capture.kinematics import pose_from_six
-from capture.robots.dashboard import Dashboard
-from capture.robots.primary import Primary, listen
-from capture.robots.rtde.stream import RtdeStream
-from datasets import pose
+from koala3d.capture.errors import RigConnectionError
+from koala3d.capture.kinematics import pose_from_six
+from koala3d.capture.robots.dashboard import Dashboard
+from koala3d.capture.robots.primary import Primary, listen
+from koala3d.capture.robots.rtde.stream import RtdeStream
+from koala3d.datasets import pose
 
 QUESTIONS = ("PolyscopeVersion", "get serial number", "is in remote control", "programState", "safetystatus", "robotmode")
 OUTPUTS = (

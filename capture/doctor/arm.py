@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from capture.arms.model import identify, load_arm
-from capture.doctor.answers import Answers
-from capture.doctor.lines import Line, compared, judged, ok, unknown, wrong
-from capture.rig.description import RobotDescription
-from datasets import pose
-from datasets.kinematics import forward
+from koala3d.capture.arms.model import identify, load_arm
+from koala3d.capture.doctor.answers import Answers
+from koala3d.capture.doctor.lines import Line, compared, judged, ok, unknown, wrong
+from koala3d.capture.rig.description import RobotDescription
+from koala3d.datasets import pose
+from koala3d.datasets.kinematics import forward
 
 OLDEST, POLYSCOPE_X = (5, 6), 10
 OWN_M = 1e-3

@@ -5,8 +5,8 @@ from typing import Annotated
 
 from typer import Exit, Option
 
-from capture.options import RigName
-from datasets.core import console
+from koala3d.capture.options import RigName
+from koala3d.datasets.core import console
 
 
 def doctor(
@@ -21,9 +21,9 @@ def doctor(
 
     The exit status is 1 where a line is wrong.
     """
-    from capture.doctor.examine import examine
-    from capture.doctor.lines import Verdict, table
-    from capture.rig.opening import controller_of, describe, host_of
+    from koala3d.capture.doctor.examine import examine
+    from koala3d.capture.doctor.lines import Verdict, table
+    from koala3d.capture.rig.opening import controller_of, describe, host_of
 
     description = describe(rig)
     with controller_of(rig, description) as controller:

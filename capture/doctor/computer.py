@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from capture.doctor.answers import Answers
-from capture.doctor.lines import Line, judged, unknown
-from datasets.core.space import readable
+from koala3d.capture.doctor.answers import Answers
+from koala3d.capture.doctor.lines import Line, judged, unknown
+from koala3d.datasets.core.space import readable
 
 EARLIEST = datetime(2026, 1, 1, tzinfo=UTC)  # no clock that is right shows an earlier time than that of this program
 DRIFT = 1e-3  # of the controller's clock against ours; both are quartz, good to 1e-4

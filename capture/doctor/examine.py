@@ -7,15 +7,15 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from capture.cameras.nodes import Nodes
-from capture.doctor import arm, camera, computer, other_camera, pendant, safety
-from capture.doctor.answers import Answers, ask
-from capture.doctor.lines import Line, Verdict, ok, unknown, wrong
-from capture.errors import CaptureError, NotReady
-from capture.rig.cameras import Seen
-from capture.rig.description import RigDescription
-from capture.robots.timing import Deadlines
-from capture.sim.camera_nodes import SimulatedNodes
+from koala3d.capture.cameras.nodes import Nodes
+from koala3d.capture.doctor import arm, camera, computer, other_camera, pendant, safety
+from koala3d.capture.doctor.answers import Answers, ask
+from koala3d.capture.doctor.lines import Line, Verdict, ok, unknown, wrong
+from koala3d.capture.errors import CaptureError, NotReady
+from koala3d.capture.rig.cameras import Seen
+from koala3d.capture.rig.description import RigDescription
+from koala3d.capture.robots.timing import Deadlines
+from koala3d.capture.sim.camera_nodes import SimulatedNodes
 
 log = logging.getLogger(__name__)
 BRIEFLY_S = 0.3  # how long samples are watched before a session
@@ -97,7 +97,7 @@ def _of_camera(name: str, line: Line) -> Line:
 
 def _examined(rig: RigDescription, number: int | None, *, encoded: bool) -> list[Line]:
     """The lines of the camera, which is opened only for them; `number` of a simulated one, None of a real one."""
-    from capture.rig.cameras import seen
+    from koala3d.capture.rig.cameras import seen
 
     simulated = number is not None
     with ExitStack() as stack:

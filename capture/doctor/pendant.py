@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 
-from capture.doctor.answers import Answers
-from capture.doctor.lines import Line, judged, ok, unknown, wrong
-from capture.rig.description import InstallationDescription
-from capture.robots.stand_in import program_state
+from koala3d.capture.doctor.answers import Answers
+from koala3d.capture.doctor.lines import Line, judged, ok, unknown, wrong
+from koala3d.capture.rig.description import InstallationDescription
+from koala3d.capture.robots.stand_in import program_state
 
 POLYSCOPE_X = 10
 """Its first major version."""

@@ -1,8 +1,8 @@
 """Checks of the controller's safety: its mode, reduced mode, stops, slider, and the checksum of its settings."""
 
-from capture.doctor.answers import Answers
-from capture.doctor.lines import Line, compared, judged, ok, unknown, wrong
-from capture.rig.description import InstallationDescription
+from koala3d.capture.doctor.answers import Answers
+from koala3d.capture.doctor.lines import Line, compared, judged, ok, unknown, wrong
+from koala3d.capture.rig.description import InstallationDescription
 
 NORMAL, REDUCED, PROTECTIVE, RECOVERY, SAFEGUARD, SYSTEM_STOP, ROBOT_STOP, VIOLATION, FAULT = range(1, 10)
 STOPS = {

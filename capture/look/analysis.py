@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.measurements import Image
-from capture.radiometry.flat import values_of
-from capture.recording.focus import sharpness
-from datasets.core.errors import UsageError
-from datasets.radiometry.merge import SATURATED
+from koala3d.capture.measurements import Image
+from koala3d.capture.radiometry.flat import values_of
+from koala3d.capture.recording.focus import sharpness
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.radiometry.merge import SATURATED
 
 MAY_CLIP = 0.001
 """Share of the pixels that may be brighter than `WANTED` of the largest value at the suggested exposure."""

@@ -5,13 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
-from capture.look.analysis import Part
-from capture.radiometry.flat import values_of
-from capture.rig.protocols import Camera
-from datasets.imaging.region import Region
-from datasets.radiometry.measure import rebalanced
-from datasets.radiometry.mosaic import pattern_of
-from datasets.radiometry.response import Response
+from koala3d.capture.look.analysis import Part
+from koala3d.capture.radiometry.flat import values_of
+from koala3d.capture.rig.protocols import Camera
+from koala3d.datasets.imaging.region import Region
+from koala3d.datasets.radiometry.measure import rebalanced
+from koala3d.datasets.radiometry.mosaic import pattern_of
+from koala3d.datasets.radiometry.response import Response
 
 PICTURES = 8
 """Pictures that are averaged."""

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.look.analysis import Part
-from capture.radiometry.flat import values_of
-from capture.rig.protocols import Camera
-from datasets.radiometry.merge import SATURATED
-from datasets.radiometry.response import Response
+from koala3d.capture.look.analysis import Part
+from koala3d.capture.radiometry.flat import values_of
+from koala3d.capture.rig.protocols import Camera
+from koala3d.datasets.radiometry.merge import SATURATED
+from koala3d.datasets.radiometry.response import Response
 
 FREQUENCIES_HZ = (100.0, 120.0)
 BANDS = 8

@@ -5,15 +5,15 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.arms.carrier import Carrier
-from capture.errors import UnreachableError
-from capture.planning import Obstacles
-from capture.planning.plan import connect
-from capture.planning.solutions import solve
-from capture.rig.protocols import Robot
-from capture.trajectory import Trajectory
-from capture.viewpoints import Viewpoint
-from datasets.core.errors import UsageError, nearest
+from koala3d.capture.arms.carrier import Carrier
+from koala3d.capture.errors import UnreachableError
+from koala3d.capture.planning import Obstacles
+from koala3d.capture.planning.plan import connect
+from koala3d.capture.planning.solutions import solve
+from koala3d.capture.rig.protocols import Robot
+from koala3d.capture.trajectory import Trajectory
+from koala3d.capture.viewpoints import Viewpoint
+from koala3d.datasets.core.errors import UsageError, nearest
 
 Joints = NDArray[np.float64]
 

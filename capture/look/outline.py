@@ -7,11 +7,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.trajectory import Trajectory
-from datasets.calibration import Calibration
-from datasets.camera_model import Camera
-from datasets.core.errors import UsageError
-from datasets.imaging.region import Region
+from koala3d.capture.trajectory import Trajectory
+from koala3d.datasets.calibration import Calibration
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.imaging.region import Region
 
 Array = NDArray[np.float64]
 

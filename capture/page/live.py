@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.arms.carrier import Mount
-from capture.page.session import CaptureView
-from capture.page.timeline import of_recording
-from capture.recording.focus import sharpness
-from datasets.core.errors import KoalaError
-from datasets.imaging import images
-from datasets.page.panel import WIDTH, bytes_of
-from datasets.recording import MANIFEST, Frame, Recording
+from koala3d.capture.arms.carrier import Mount
+from koala3d.capture.page.session import CaptureView
+from koala3d.capture.page.timeline import of_recording
+from koala3d.capture.recording.focus import sharpness
+from koala3d.datasets.core.errors import KoalaError
+from koala3d.datasets.imaging import images
+from koala3d.datasets.page.panel import WIDTH, bytes_of
+from koala3d.datasets.recording import MANIFEST, Frame, Recording
 
 POLL_S = 0.5  # period of the checks of the folder
 BINS, TALL = 128, 160  # bars of the histogram, and its height [px]

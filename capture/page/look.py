@@ -8,18 +8,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.look import flicker
-from capture.look.analysis import Look, Part
-from capture.look.balance import stored_response, white_balance, words
-from capture.look.jog import Jog
-from capture.look.outline import Outline
-from capture.measurements import Image
-from capture.page.jogging import JogPanel
-from capture.page.live import with_histogram
-from capture.page.overlay import shown
-from capture.rig.protocols import Camera
-from datasets.core.errors import KoalaError
-from datasets.page import Page
+from koala3d.capture.look import flicker
+from koala3d.capture.look.analysis import Look, Part
+from koala3d.capture.look.balance import stored_response, white_balance, words
+from koala3d.capture.look.jog import Jog
+from koala3d.capture.look.outline import Outline
+from koala3d.capture.measurements import Image
+from koala3d.capture.page.jogging import JogPanel
+from koala3d.capture.page.live import with_histogram
+from koala3d.capture.page.overlay import shown
+from koala3d.capture.rig.protocols import Camera
+from koala3d.datasets.core.errors import KoalaError
+from koala3d.datasets.page import Page
 
 PAUSE_S = 0.1
 """Between two pictures."""

@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.look.analysis import Part
-from capture.recording.focus import luminance
-from datasets.page.panel import bytes_of
-from datasets.radiometry.merge import SATURATED
+from koala3d.capture.look.analysis import Part
+from koala3d.capture.recording.focus import luminance
+from koala3d.datasets.page.panel import bytes_of
+from koala3d.datasets.radiometry.merge import SATURATED
 
 PEAK, FRAME = (255, 40, 200), (60, 220, 120)  # colours of sharp edges and of the region's frame, sRGB
 SHARPEST = 0.03
@@ -45,7 +45,7 @@ def shown(pixels: NDArray[Any], part: Part, *, peaking: bool = True, zebra: bool
 
 def clipped(pixels: NDArray[Any]) -> NDArray[np.bool_]:
     """(height, width) pixels of an sRGB picture with a clipped channel."""
-    from datasets.imaging.images import srgb_from_linear
+    from koala3d.datasets.imaging.images import srgb_from_linear
 
     return (pixels >= float(srgb_from_linear(SATURATED)) * np.iinfo(pixels.dtype).max).any(-1)
 

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.recording import check
-from capture.recording.focus import sharpness
-from capture.trajectory import recorded_trajectory
-from datasets.core import files
-from datasets.core.errors import KoalaError
-from datasets.imaging import images
-from datasets.recording import CHOSEN, Frame, Recording, chosen_views
-from datasets.reports.html import Number, ReportPage
+from koala3d.capture.recording import check
+from koala3d.capture.recording.focus import sharpness
+from koala3d.capture.trajectory import recorded_trajectory
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import KoalaError
+from koala3d.datasets.imaging import images
+from koala3d.datasets.recording import CHOSEN, Frame, Recording, chosen_views
+from koala3d.datasets.reports.html import Number, ReportPage
 
 THUMBNAIL = 190  # width of the small pictures [px]
 
@@ -134,7 +134,7 @@ def _row(one: Measured, first: Measured) -> tuple:
 
 def over_time(measured: list[Measured]) -> str:
     """Sharpness, light and joint angles over the time of the session, as SVG in colours for light and dark."""
-    from datasets.reports.drawing import COLOURS, blank, svg_of
+    from koala3d.datasets.reports.drawing import COLOURS, blank, svg_of
 
     seconds = np.array([1e-9 * (one.frame.host_time_ns - measured[0].frame.host_time_ns) for one in measured])
     figure = blank(9, 6)

@@ -11,16 +11,16 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from capture.arms.carrier import Mount
-from capture.page.timeline import Stop, Timeline
-from capture.planning import Obstacles
-from capture.trajectory import Trajectory
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.core.errors import KoalaError
-from datasets.imaging import images
-from datasets.page import Page, PicturePanel, shapes
-from datasets.page.panel import bytes_of
+from koala3d.capture.arms.carrier import Mount
+from koala3d.capture.page.timeline import Stop, Timeline
+from koala3d.capture.planning import Obstacles
+from koala3d.capture.trajectory import Trajectory
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core.errors import KoalaError
+from koala3d.datasets.imaging import images
+from koala3d.datasets.page import Page, PicturePanel, shapes
+from koala3d.datasets.page.panel import bytes_of
 
 ARM, CAMERA, TABLE, SAFETY, SOLID = (
     (170, 178, 190),

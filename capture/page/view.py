@@ -8,15 +8,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from capture.arms.carrier import Mount
-from capture.page.live import LiveView
-from capture.page.session import CaptureView
-from capture.page.timeline import of_planned, of_recording, of_trajectory
-from capture.planning import PlannedView
-from capture.rig.description import RigDescription, recorded_carrier
-from capture.trajectory import Trajectory, load_trajectory, recorded_trajectory
-from datasets.page import Page
-from datasets.recording import Recording
+from koala3d.capture.arms.carrier import Mount
+from koala3d.capture.page.live import LiveView
+from koala3d.capture.page.session import CaptureView
+from koala3d.capture.page.timeline import of_planned, of_recording, of_trajectory
+from koala3d.capture.planning import PlannedView
+from koala3d.capture.rig.description import RigDescription, recorded_carrier
+from koala3d.capture.trajectory import Trajectory, load_trajectory, recorded_trajectory
+from koala3d.datasets.page import Page
+from koala3d.datasets.recording import Recording
 
 
 def show(page: Page, path: Path, description: RigDescription, *, overrides: list[str] | None = None) -> dict[str, Any]:

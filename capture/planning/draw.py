@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.planning.obstacles import Obstacles
-from capture.planning.plan import PlannedView
-from capture.shapes.solids import Solid
-from datasets.core import files
+from koala3d.capture.planning.obstacles import Obstacles
+from koala3d.capture.planning.plan import PlannedView
+from koala3d.capture.shapes.solids import Solid
+from koala3d.datasets.core import files
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -136,7 +136,7 @@ def _camera_track(path: NDArray[np.float64], obstacles: Obstacles) -> NDArray[np
 
 def page(planned: list[PlannedView], obstacles: Obstacles, path: Path, *, title: str) -> None:
     """Write one HTML file that shows arm, views and paths in three dimensions and loads nothing."""
-    template = (package_files("capture") / "planning" / "plan.html").read_text(encoding="utf-8")
+    template = (package_files("koala3d.capture") / "planning" / "plan.html").read_text(encoding="utf-8")
     content = json.dumps(_scene(planned, obstacles, title), separators=(",", ":")).replace("</", "<\\/")
     files.write_text(path, template.replace("/*SCENE*/null", content))
 

@@ -8,7 +8,7 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.planning.obstacles import Obstacles
+from koala3d.capture.planning.obstacles import Obstacles
 
 Joints = NDArray[np.float64]
 

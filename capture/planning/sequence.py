@@ -5,8 +5,8 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.planning.obstacles import Obstacles
-from capture.planning.paths import are_free
+from koala3d.capture.planning.obstacles import Obstacles
+from koala3d.capture.planning.paths import are_free
 
 Joints = NDArray[np.float64]
 

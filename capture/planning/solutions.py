@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from capture import kinematics
-from capture.arms.carrier import Carrier, Mount, carrier_of
-from capture.planning.obstacles import Obstacles
-from capture.viewpoints import Viewpoint
-from datasets import pose
+from koala3d.capture import kinematics
+from koala3d.capture.arms.carrier import Carrier, Mount, carrier_of
+from koala3d.capture.planning.obstacles import Obstacles
+from koala3d.capture.viewpoints import Viewpoint
+from koala3d.datasets import pose
 
 Joints = NDArray[np.float64]
 

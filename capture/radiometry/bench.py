@@ -8,18 +8,18 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.radiometry.flat import measured, statistics
-from capture.recording.writer import Writer
-from capture.rig.opening import open_camera
-from capture.rig.protocols import Camera
-from capture.sim.camera import SimulatedCamera
-from capture.sim.laboratory.scenes import CARDS
-from capture.trajectory import Trajectory
-from datasets.core.errors import UsageError
-from datasets.develop import develop
-from datasets.imaging import images
-from datasets.radiometry.response import Response
-from datasets.recording import RADIOMETRY, Frame, Recording
+from koala3d.capture.radiometry.flat import measured, statistics
+from koala3d.capture.recording.writer import Writer
+from koala3d.capture.rig.opening import open_camera
+from koala3d.capture.rig.protocols import Camera
+from koala3d.capture.sim.camera import SimulatedCamera
+from koala3d.capture.sim.laboratory.scenes import CARDS
+from koala3d.capture.trajectory import Trajectory
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.develop import develop
+from koala3d.datasets.imaging import images
+from koala3d.datasets.radiometry.response import Response
+from koala3d.datasets.recording import RADIOMETRY, Frame, Recording
 
 EXPOSURES = (1.0, 0.5, 0.2, 0.05)
 """Exposure times of the card's pictures, relative to the trajectory's."""

@@ -6,8 +6,8 @@ from typing import Annotated
 import typer
 from typer import Option
 
-from capture.options import RigName, Settings, TrajectoryName
-from datasets.core import console
+from koala3d.capture.options import RigName, Settings, TrajectoryName
+from koala3d.datasets.core import console
 
 
 def flat(
@@ -23,10 +23,10 @@ def flat(
     """Measure black level, flat field, hot pixels, white balance and noise of the camera. The arm is not used.
 
     The camera takes the settings of the trajectory. Cover the lens, then hold an evenly lit grey card before it."""
-    from capture.radiometry.flat import measured, statistics, words
-    from capture.rig.opening import describe, is_simulated, open_camera
-    from capture.trajectory import load_trajectory
-    from datasets.core.files import refuse_existing
+    from koala3d.capture.radiometry.flat import measured, statistics, words
+    from koala3d.capture.rig.opening import describe, is_simulated, open_camera
+    from koala3d.capture.trajectory import load_trajectory
+    from koala3d.datasets.core.files import refuse_existing
 
     refuse_existing(out)
     session = load_trajectory(trajectory, overrides=settings)
@@ -55,8 +55,8 @@ def bench_colour(
     as_json: console.Json = False,
 ) -> None:
     """Measure the colour error of a grey card on a simulated rig, with and without correction, at four brightnesses."""
-    from capture.radiometry.bench import errors, lines
-    from capture.trajectory import load_trajectory
+    from koala3d.capture.radiometry.bench import errors, lines
+    from koala3d.capture.trajectory import load_trajectory
 
     with console.progress("bench", 2 * frames + 4, "pictures") as shown:
         found = errors(load_trajectory(trajectory, overrides=settings), rig, frames, shown.advance)

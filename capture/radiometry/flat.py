@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.measurements import Image
-from capture.rig.protocols import Camera, GroundTruth
-from datasets.imaging.region import Region
-from datasets.radiometry.measure import Statistics, response
-from datasets.radiometry.response import Response
-from datasets.radiometry.stored import linear, packed
+from koala3d.capture.measurements import Image
+from koala3d.capture.rig.protocols import Camera, GroundTruth
+from koala3d.datasets.imaging.region import Region
+from koala3d.datasets.radiometry.measure import Statistics, response
+from koala3d.datasets.radiometry.response import Response
+from koala3d.datasets.radiometry.stored import linear, packed
 
 Advance = Callable[[], None]
 

@@ -13,21 +13,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.cameras.basler import Basler
-from capture.planning import plan
-from capture.recording.focus import sharpness
-from capture.recording.recorder import record
-from capture.rig.description import RigDescription
-from capture.rig.opening import Rig
-from capture.robots.settling import Settling
-from capture.robots.timing import Deadlines
-from capture.robots.ur import UniversalRobot
-from capture.sim.camera import SimulatedCamera
-from capture.sim.controller.process import SimulatedController
-from capture.sim.truth import RigTruth
-from capture.trajectory import load_trajectory
-from datasets import pose
-from datasets.recording import Frame
+from koala3d.capture.cameras.basler import Basler
+from koala3d.capture.planning import plan
+from koala3d.capture.recording.focus import sharpness
+from koala3d.capture.recording.recorder import record
+from koala3d.capture.rig.description import RigDescription
+from koala3d.capture.rig.opening import Rig
+from koala3d.capture.robots.settling import Settling
+from koala3d.capture.robots.timing import Deadlines
+from koala3d.capture.robots.ur import UniversalRobot
+from koala3d.capture.sim.camera import SimulatedCamera
+from koala3d.capture.sim.controller.process import SimulatedController
+from koala3d.capture.sim.truth import RigTruth
+from koala3d.capture.trajectory import load_trajectory
+from koala3d.datasets import pose
+from koala3d.datasets.recording import Frame
 
 DELAYS_S = (0.0, 0.02, 0.04, 0.06, 0.08, 0.1, 0.13, 0.16, 0.2, 0.25, 0.3, 0.4, 0.5)
 """Waits between the end of a motion and the exposure."""
@@ -127,7 +127,7 @@ def plot_settling(points: list[SettlePoint], path: Path) -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    from datasets.core.files import atomic_path
+    from koala3d.datasets.core.files import atomic_path
 
     delays = [1e3 * point.delay_s for point in points]
     figure, left = pyplot.subplots(figsize=(7, 4), layout="constrained")

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.recording.focus import luminance, sharpness
-from capture.trajectory import Trajectory, recorded_trajectory
-from datasets import pose
-from datasets.core import files
-from datasets.core.errors import KoalaError
-from datasets.imaging import images
-from datasets.recording import FRAMES, Frame, Recording
+from koala3d.capture.recording.focus import luminance, sharpness
+from koala3d.capture.trajectory import Trajectory, recorded_trajectory
+from koala3d.datasets import pose
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import KoalaError
+from koala3d.datasets.imaging import images
+from koala3d.datasets.recording import FRAMES, Frame, Recording
 
 OVER_SHARE, UNDER_LIGHT = 0.15, 0.03
 """A picture is over-exposed when more than this share of its pixels is white, and under-exposed when 99 % of them are below this

@@ -6,8 +6,8 @@ from typing import Annotated, Any
 import typer
 from typer import Option
 
-from capture.options import Recorded, RigName, TimeScale
-from datasets.core import console
+from koala3d.capture.options import Recorded, RigName, TimeScale
+from koala3d.datasets.core import console
 
 
 def check(
@@ -16,8 +16,8 @@ def check(
     as_json: console.Json = False,
 ) -> None:
     """Verify a recording: hashes, counts, clocks, exposure, sharpness. Lists the views to retake; exit code 1 with findings."""
-    from capture.recording import check
-    from datasets.recording import Recording
+    from koala3d.capture.recording import check
+    from koala3d.datasets.recording import Recording
 
     opened = Recording.open(recording)
     frames = len(opened.frames)
@@ -52,11 +52,11 @@ def replay(
     as_json: console.Json = False,
 ) -> None:
     """Repeat the joint path of a recording without the camera, and report the deviation of each frame's pose."""
-    from capture.recording.replay import replay, summary
-    from capture.rig.opening import open_arm
-    from capture.trajectory import recorded_trajectory
-    from datasets.core import files
-    from datasets.recording import Recording
+    from koala3d.capture.recording.replay import replay, summary
+    from koala3d.capture.rig.opening import open_arm
+    from koala3d.capture.trajectory import recorded_trajectory
+    from koala3d.datasets.core import files
+    from koala3d.datasets.recording import Recording
 
     found = Recording.open(recording)
     if out is not None:
@@ -82,8 +82,8 @@ def bench(
     as_json: console.Json = False,
 ) -> None:
     """Benchmark the simulated rig: sharpness against settling time, overhead of the capture loop, rate of robot states."""
-    from capture.recording import bench
-    from datasets.core import files
+    from koala3d.capture.recording import bench
+    from koala3d.datasets.core import files
 
     files.refuse_existing(out)
     with console.progress("bench", 1 + frames + len(bench.DELAYS_S), "steps") as shown:

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.imaging.images import linear_from_srgb
+from koala3d.datasets.imaging.images import linear_from_srgb
 
 COARSE_PX = 1.5  # standard deviation of the blur that removes the fine structure [px]
 

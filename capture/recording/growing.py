@@ -12,14 +12,14 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.planning import Obstacles, PlannedView, connect
-from capture.recording.recorder import record
-from capture.rig.opening import Rig
-from capture.trajectory import Trajectory, recorded_trajectory
-from capture.viewpoints import JointViews
-from datasets.core import files
-from datasets.core.errors import UsageError
-from datasets.recording import MANIFEST, Recording
+from koala3d.capture.planning import Obstacles, PlannedView, connect
+from koala3d.capture.recording.recorder import record
+from koala3d.capture.rig.opening import Rig
+from koala3d.capture.trajectory import Trajectory, recorded_trajectory
+from koala3d.capture.viewpoints import JointViews
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.recording import MANIFEST, Recording
 
 Array = NDArray[np.float64]
 Use = Literal["train", "test"] | None

@@ -4,12 +4,12 @@ from datetime import datetime
 from importlib.metadata import version
 from typing import Any
 
-from capture.arms.carrier import Carrier
-from capture.rig.description import InstallationDescription, RigDescription, recorded_rig
-from capture.rig.opening import Rig
-from capture.trajectory import Trajectory, recorded_trajectory
-from datasets.core.errors import UsageError
-from datasets.recording import Recording
+from koala3d.capture.arms.carrier import Carrier
+from koala3d.capture.rig.description import InstallationDescription, RigDescription, recorded_rig
+from koala3d.capture.rig.opening import Rig
+from koala3d.capture.trajectory import Trajectory, recorded_trajectory
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.recording import Recording
 
 DEVICES = (
     ("robot", "model", "arm"),

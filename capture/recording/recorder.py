@@ -10,18 +10,18 @@ from typing import Any
 
 import numpy as np
 
-from capture.errors import CaptureError, MotionError, naming
-from capture.measurements import Image, Pixels, RobotState
-from capture.planning import Obstacles, PlannedView, connect, plan
-from capture.recording.manifest import manifest_of, require_same_session
-from capture.recording.writer import Advance, Stop, Writer
-from capture.rig.opening import Rig
-from capture.trajectory import CameraSettings, Motion, Trajectory
-from datasets.core import arrays, files
-from datasets.core.errors import UsageError
-from datasets.core.space import require_room
-from datasets.radiometry.response import Response
-from datasets.recording import IMAGES, MANIFEST, RADIOMETRY, TRUTH, Frame, Recording
+from koala3d.capture.errors import CaptureError, MotionError, naming
+from koala3d.capture.measurements import Image, Pixels, RobotState
+from koala3d.capture.planning import Obstacles, PlannedView, connect, plan
+from koala3d.capture.recording.manifest import manifest_of, require_same_session
+from koala3d.capture.recording.writer import Advance, Stop, Writer
+from koala3d.capture.rig.opening import Rig
+from koala3d.capture.trajectory import CameraSettings, Motion, Trajectory
+from koala3d.datasets.core import arrays, files
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.core.space import require_room
+from koala3d.datasets.radiometry.response import Response
+from koala3d.datasets.recording import IMAGES, MANIFEST, RADIOMETRY, TRUTH, Frame, Recording
 
 BYTES = {"rgb8": (3, 3), "bayer8": (3, 3), "bayer12": (6, 2), "mono8": (1, 1), "mono12": (2, 2)}
 """Bytes of a pixel: of the developed picture, and of each exposure beside it."""

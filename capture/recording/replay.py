@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from capture.errors import CaptureError
-from capture.planning import Obstacles, connect
-from capture.rig.description import recorded_carrier
-from capture.rig.protocols import Robot
-from capture.trajectory import recorded_trajectory
-from datasets import pose
-from datasets.core import files
-from datasets.recording import TRUTH, Recording
+from koala3d.capture.errors import CaptureError
+from koala3d.capture.planning import Obstacles, connect
+from koala3d.capture.rig.description import recorded_carrier
+from koala3d.capture.rig.protocols import Robot
+from koala3d.capture.trajectory import recorded_trajectory
+from koala3d.datasets import pose
+from koala3d.datasets.core import files
+from koala3d.datasets.recording import TRUTH, Recording
 
 
 @dataclass(frozen=True)

@@ -7,11 +7,11 @@ from dataclasses import replace
 from types import TracebackType
 from typing import Self
 
-from capture.measurements import Image
-from datasets.core import files
-from datasets.imaging import images
-from datasets.radiometry.stored import RAW_FOLDER, packed
-from datasets.recording import DEPTH, DepthPicture, Exposure, Frame, Recording
+from koala3d.capture.measurements import Image
+from koala3d.datasets.core import files
+from koala3d.datasets.imaging import images
+from koala3d.datasets.radiometry.stored import RAW_FOLDER, packed
+from koala3d.datasets.recording import DEPTH, DepthPicture, Exposure, Frame, Recording
 
 Advance = Callable[[str], None]
 Stop = list[tuple[Frame, list[Image]]]

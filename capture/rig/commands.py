@@ -6,9 +6,9 @@ from typing import Annotated
 
 from typer import Exit, Option
 
-from capture.errors import SimulationError
-from capture.options import RigName, Settings, TrajectoryName
-from datasets.core import console
+from koala3d.capture.errors import SimulationError
+from koala3d.capture.options import RigName, Settings, TrajectoryName
+from koala3d.datasets.core import console
 
 
 def sim(
@@ -22,10 +22,10 @@ def sim(
     as_json: console.Json = False,
 ) -> None:
     """Start only the simulated controller of an arm, for any RTDE client. Prints its address and ports; Ctrl-C ends it."""
-    from capture.rig.opening import controller_model, describe, write_simulated_rig
-    from capture.sim.controller.process import SimulatedController
-    from capture.sim.controller.server import DASHBOARD_PORT, RTDE_PORT, SCRIPT_PORT
-    from capture.sim.laboratory.scenes import check_name
+    from koala3d.capture.rig.opening import controller_model, describe, write_simulated_rig
+    from koala3d.capture.sim.controller.process import SimulatedController
+    from koala3d.capture.sim.controller.server import DASHBOARD_PORT, RTDE_PORT, SCRIPT_PORT
+    from koala3d.capture.sim.laboratory.scenes import check_name
 
     scene = check_name(scene)
     description = describe(rig)
@@ -59,9 +59,9 @@ def check_camera(
 
     The camera takes the settings of the trajectory. The exit status is 1 where a clause is broken.
     """
-    from capture.rig.contract import CONTRACT, Subject, check
-    from capture.rig.opening import camera_for, describe, is_simulated
-    from capture.trajectory import load_trajectory
+    from koala3d.capture.rig.contract import CONTRACT, Subject, check
+    from koala3d.capture.rig.opening import camera_for, describe, is_simulated
+    from koala3d.capture.trajectory import load_trajectory
 
     session, description = load_trajectory(trajectory, overrides=settings), describe(rig)
     scene = "grey_card" if is_simulated(rig, description) else ""

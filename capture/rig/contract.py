@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from capture.errors import CaptureError
-from capture.rig.protocols import Camera, Image
-from capture.trajectory import CameraSettings
-from datasets.camera_model import Camera as Intrinsics
-from datasets.core.errors import KoalaError
-from datasets.imaging.region import Region
+from koala3d.capture.errors import CaptureError
+from koala3d.capture.rig.protocols import Camera, Image
+from koala3d.capture.trajectory import CameraSettings
+from koala3d.datasets.camera_model import Camera as Intrinsics
+from koala3d.datasets.core.errors import KoalaError
+from koala3d.datasets.imaging.region import Region
 
 SHARE, GAIN_DB = 0.02, 0.1  # how far exposure (relative) and gain may be from what was asked for
 QUICK_S = 0.5  # longest time to make a camera without opening it

@@ -7,17 +7,17 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, StringConstraints, model_validator
 
-from capture.arms.carrier import BODY, Beside, Cable, CameraCapsule, Carrier, Fellow
-from capture.arms.model import DEFAULT, ArmModel, load_arm, recorded_arm
-from capture.cameras.device import Device
-from capture.geometry import PoseDescription
-from capture.shapes.solids import AnySolid, CylinderSolid, MeshSolid
-from capture.sim.laboratory.flaws import Flaws
-from capture.turntables.description import LampDescription, TurntableDescription
-from datasets import pose
-from datasets.core.errors import UsageError
-from datasets.core.schema import Schema, load_yaml, validate
-from datasets.recording import MANIFEST, Recording
+from koala3d.capture.arms.carrier import BODY, Beside, Cable, CameraCapsule, Carrier, Fellow
+from koala3d.capture.arms.model import DEFAULT, ArmModel, load_arm, recorded_arm
+from koala3d.capture.cameras.device import Device
+from koala3d.capture.geometry import PoseDescription
+from koala3d.capture.shapes.solids import AnySolid, CylinderSolid, MeshSolid
+from koala3d.capture.sim.laboratory.flaws import Flaws
+from koala3d.capture.turntables.description import LampDescription, TurntableDescription
+from koala3d.datasets import pose
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.core.schema import Schema, load_yaml, validate
+from koala3d.datasets.recording import MANIFEST, Recording
 
 Three = tuple[float, float, float]
 Six = tuple[float, float, float, float, float, float]

@@ -9,21 +9,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-import configs
-from capture.arms.carrier import Carrier
-from capture.errors import naming
-from capture.rig.description import RigDescription, load_rig
-from capture.rig.protocols import Camera, GroundTruth, Robot, Turntable
-from capture.rig.turning import open_turntable, simulated_turntable
-from capture.trajectory import Trajectory
-from capture.turntables.description import required
-from datasets.core.errors import UsageError
+from koala3d import configs
+from koala3d.capture.arms.carrier import Carrier
+from koala3d.capture.errors import naming
+from koala3d.capture.rig.description import RigDescription, load_rig
+from koala3d.capture.rig.protocols import Camera, GroundTruth, Robot, Turntable
+from koala3d.capture.rig.turning import open_turntable, simulated_turntable
+from koala3d.capture.trajectory import Trajectory
+from koala3d.capture.turntables.description import required
+from koala3d.datasets.core.errors import UsageError
 
 if TYPE_CHECKING:
-    from capture.sim.controller.handle import ControllerHandle
-    from capture.sim.kinematic_arm import KinematicArm
-    from capture.sim.laboratory.flaws import Flaws
-    from capture.sim.turntable import SimulatedTurntable
+    from koala3d.capture.sim.controller.handle import ControllerHandle
+    from koala3d.capture.sim.kinematic_arm import KinematicArm
+    from koala3d.capture.sim.laboratory.flaws import Flaws
+    from koala3d.capture.sim.turntable import SimulatedTurntable
 
     Simulation = ControllerHandle | KinematicArm  # both know where the flange truly is
 
@@ -93,7 +93,7 @@ def is_started(name: str, description: RigDescription) -> bool:
 
 def flaws_of(description: RigDescription) -> "Flaws":
     """Flaws of a rig's simulated camera; none where the description has no simulation."""
-    from capture.sim.laboratory.flaws import Flaws
+    from koala3d.capture.sim.laboratory.flaws import Flaws
 
     return Flaws() if description.simulation is None else description.simulation.flaws
 
@@ -184,11 +184,11 @@ def _camera(
 ) -> tuple[Camera, GroundTruth | None]:
     """The camera of a rig, not connected, and what knows the truth about it; `number` as in `SimulatedCamera`."""
     if controller is None:
-        from capture.rig.cameras import camera_of
+        from koala3d.capture.rig.cameras import camera_of
 
         return camera_of(rig.camera, trajectory.camera), None
-    from capture.sim.camera import SimulatedCamera
-    from capture.sim.truth import RigTruth, seed_of_camera
+    from koala3d.capture.sim.camera import SimulatedCamera
+    from koala3d.capture.sim.truth import RigTruth, seed_of_camera
 
     truth, flaws = RigTruth.of(rig.carrier(), trajectory, seed_of_camera(seed, number)), flaws_of(rig)
     made = SimulatedCamera(trajectory, scene, truth, controller, seed, flaws, device=rig.camera, table=turned, number=number)
@@ -205,12 +205,12 @@ def camera_for(name: str, trajectory: Trajectory, *, scene: str, seed: int = 0, 
     """
     description = describe(name)
     if not is_simulated(name, description):
-        from capture.rig.cameras import camera_of
+        from koala3d.capture.rig.cameras import camera_of
 
         return camera_of(description.camera, trajectory.camera)
-    from capture.planning import Obstacles
-    from capture.sim.camera import SimulatedCamera, StillArm
-    from capture.sim.truth import RigTruth
+    from koala3d.capture.planning import Obstacles
+    from koala3d.capture.sim.camera import SimulatedCamera, StillArm
+    from koala3d.capture.sim.truth import RigTruth
 
     carrier = description.carrier()
     arm = StillArm(Obstacles.of(trajectory, carrier).flange_for(trajectory.viewpoints()[view].camera_pose(carrier)))
@@ -259,16 +259,16 @@ def controller_of(
     started_here = is_started(name, description)
     side_port = None if description.simulation is None else description.simulation.side_port
     if started_here and description.arm.family == "ur":
-        from capture.sim.controller.process import SimulatedController
+        from koala3d.capture.sim.controller.process import SimulatedController
 
         with SimulatedController.as_built(**options, model=description.robot.model) as started:
             yield started
     elif started_here:
-        from capture.sim.kinematic_arm import KinematicArm
+        from koala3d.capture.sim.kinematic_arm import KinematicArm
 
         yield KinematicArm(description.arm, **options)
     elif side_port is not None:
-        from capture.sim.controller.handle import ControllerHandle
+        from koala3d.capture.sim.controller.handle import ControllerHandle
 
         with closing(ControllerHandle(description.robot.host, side_port)) as running:
             yield running
@@ -277,11 +277,11 @@ def controller_of(
 
 
 def _arm(description: RigDescription, trajectory: Trajectory, controller: "Simulation | None", take_over: bool = False) -> Robot:
-    from capture.robots.settling import Settling
-    from capture.robots.timing import Deadlines
-    from capture.robots.ur import UniversalRobot
-    from capture.safety import Limits
-    from capture.sim.kinematic_arm import KinematicArm
+    from koala3d.capture.robots.settling import Settling
+    from koala3d.capture.robots.timing import Deadlines
+    from koala3d.capture.robots.ur import UniversalRobot
+    from koala3d.capture.safety import Limits
+    from koala3d.capture.sim.kinematic_arm import KinematicArm
 
     motion, robot, arm = trajectory.motion, description.robot, description.arm
     limits = Limits.of(arm, robot.max_joint_speed, robot.max_joint_acceleration)
@@ -309,7 +309,7 @@ def write_simulated_rig(
     """
     import yaml
 
-    from datasets.core import files
+    from koala3d.datasets.core import files
 
     files.refuse_existing(path)
     simulation = {"side_port": controller.side_port, "scene": scene, "seed": seed}
@@ -332,7 +332,7 @@ def scene_for(rig: str, scene: str, trajectory: Trajectory) -> str:
         if scene:
             raise UsageError("--scene is only for simulated rigs", where=rig, remedy="leave it out, or use --rig sim")
         return ""
-    from capture.sim.laboratory.views import check_scene
+    from koala3d.capture.sim.laboratory.views import check_scene
 
     if not scene:
         scene = "board" if trajectory.target is not None else "gold_head" if simulation is None else simulation.scene

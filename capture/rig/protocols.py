@@ -9,7 +9,7 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.measurements import Image, RobotState
+from koala3d.capture.measurements import Image, RobotState
 
 __all__ = ["Camera", "GroundTruth", "Image", "Robot", "RobotState", "Turntable"]
 

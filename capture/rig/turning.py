@@ -3,18 +3,18 @@
 from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING
 
-from capture.rig.protocols import Turntable
-from capture.turntables.description import TurntableDescription
+from koala3d.capture.rig.protocols import Turntable
+from koala3d.capture.turntables.description import TurntableDescription
 
 if TYPE_CHECKING:
-    from capture.sim.turntable import SimulatedTurntable
+    from koala3d.capture.sim.turntable import SimulatedTurntable
 
 
 def open_turntable(table: TurntableDescription | None) -> AbstractContextManager[Turntable | None]:
     """The driver, not connected; entering it connects, and turns the table if it looks for its switch."""
     if table is None:
         return nullcontext()
-    from capture.turntables.grbl import GrblTurntable
+    from koala3d.capture.turntables.grbl import GrblTurntable
 
     return GrblTurntable(table)
 
@@ -25,6 +25,6 @@ def simulated_turntable(
     """A simulated controller with the object on its table, not started; arguments as in `SimulatedTurntable`."""
     if table is None:
         return nullcontext()
-    from capture.sim.turntable import SimulatedTurntable
+    from koala3d.capture.sim.turntable import SimulatedTurntable
 
     return SimulatedTurntable(table, seed, time_scale)

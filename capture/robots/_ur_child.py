@@ -1,4 +1,4 @@
-"""The process that holds the client of the controller: `python -m capture.robots._ur_child FD '{"host": ..., ...}'`.
+"""The process that holds the client of the controller: `python -m koala3d.capture.robots._ur_child FD '{"host": ..., ...}'`.
 
 The vendor's client can hang, hold the interpreter or crash when a connection breaks; the parent then kills this process. The two
 exchange JSON lines over the socket FD. This one sends {"ready": ...} or {"failed": ...}, then {"state": ...} for every new sample
@@ -14,7 +14,7 @@ import sys
 import time
 from typing import Any
 
-from capture.robots.client import Client, StartError, StartFailure, open_client
+from koala3d.capture.robots.client import Client, StartError, StartFailure, open_client
 
 MAX_BUSY_PERIOD_S, IDLE_PERIOD_S, BUSY_AFTER_S = 0.005, 0.02, 1.0
 """Periods of polling the client: in motion and for a while after it (at least twice per sample), and otherwise [s]."""

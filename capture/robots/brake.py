@@ -7,10 +7,10 @@ from enum import Enum
 
 import numpy as np
 
-from capture.errors import NotReady, RigConnectionError
-from capture.robots import pendant
-from capture.robots.link import Sample
-from capture.robots.pendant import BUSY, Pendant
+from koala3d.capture.errors import NotReady, RigConnectionError
+from koala3d.capture.robots import pendant
+from koala3d.capture.robots.link import Sample
+from koala3d.capture.robots.pendant import BUSY, Pendant
 
 STILL_RAD_S = 0.01
 """Below this speed of its fastest joint an arm counts as at rest [rad/s]: ten times the noise of measured speeds."""

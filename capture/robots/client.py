@@ -96,12 +96,12 @@ def open_client(choice: str, host: str, frequency: float, watchdog_hz: float) ->
     """
     if choice != ClientChoice.KOALA:
         try:
-            from capture.robots.vendor_client import VendorClient
+            from koala3d.capture.robots.vendor_client import VendorClient
 
             return VendorClient(host, frequency, watchdog_hz)
         except ImportError as error:
             if choice == ClientChoice.UR_RTDE:
                 raise StartError(f"ur-rtde is not installed: {error}", StartFailure.MISSING) from None
-    from capture.robots.koala_client import KoalaClient
+    from koala3d.capture.robots.koala_client import KoalaClient
 
     return KoalaClient(host, frequency, watchdog_hz)

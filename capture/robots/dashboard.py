@@ -4,7 +4,7 @@ import re
 import socket
 from typing import Self
 
-from capture.errors import RigConnectionError
+from koala3d.capture.errors import RigConnectionError
 
 PORT, TIMEOUT_S = 29999, 1.0
 

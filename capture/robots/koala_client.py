@@ -8,10 +8,10 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from capture.robots.client import StartError, StartFailure, State, versioned
-from capture.robots.rtde import program
-from capture.robots.rtde.program import FIRST, Command
-from capture.robots.rtde.stream import RegistersInUse, RtdeStream
+from koala3d.capture.robots.client import StartError, StartFailure, State, versioned
+from koala3d.capture.robots.rtde import program
+from koala3d.capture.robots.rtde.program import FIRST, Command
+from koala3d.capture.robots.rtde.stream import RegistersInUse, RtdeStream
 
 SCRIPT_PORT = 30003
 CONNECT_S, START_S, ANSWER_S = 2.0, 5.0, 1.0  # until the script port accepts, the program runs, and a command is carried out [s]

@@ -42,7 +42,7 @@ class ChildLink:
         options = json.dumps({"choice": client, "host": host, "frequency": frequency, "watchdog_hz": watchdog_hz})
         with theirs:
             process = subprocess.Popen(
-                [sys.executable, "-m", "capture.robots._ur_child", str(theirs.fileno()), options],
+                [sys.executable, "-m", "koala3d.capture.robots._ur_child", str(theirs.fileno()), options],
                 pass_fds=[theirs.fileno()],
                 stdin=subprocess.DEVNULL,
                 stdout=output,

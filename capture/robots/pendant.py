@@ -5,10 +5,10 @@ PolyScope 5 has a dashboard server for this. PolyScope X has none: there RTDE an
 
 from typing import Protocol, Self
 
-from capture.errors import NotReady, RigConnectionError
-from capture.robots.client import ClientChoice
-from capture.robots.dashboard import Dashboard
-from capture.robots.stand_in import StandIn
+from koala3d.capture.errors import NotReady, RigConnectionError
+from koala3d.capture.robots.client import ClientChoice
+from koala3d.capture.robots.dashboard import Dashboard
+from koala3d.capture.robots.stand_in import StandIn
 
 BUSY = ("PLAYING", "PAUSED")
 """States of a program that somebody may want to go on."""

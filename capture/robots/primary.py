@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.kinematics import Links
+from koala3d.datasets.kinematics import Links
 
 PORT, WAIT_S = 30001, 1.5
 STATE, MESSAGE = 16, 20

@@ -9,9 +9,9 @@ import time
 from collections.abc import Sequence
 from typing import Any, Self
 
-from capture.errors import RigConnectionError
-from capture.robots import primary
-from capture.robots.rtde.stream import RtdeStream
+from koala3d.capture.errors import RigConnectionError
+from koala3d.capture.robots import primary
+from koala3d.capture.robots.rtde.stream import RtdeStream
 
 RATE_HZ, TIMEOUT_S = 50.0, 1.0
 STOP_S = 2.0  # until the arm rests: joints that turn at 2 rad/s slow down at 3 rad/s^2

@@ -12,18 +12,18 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.arms.model import identify
-from capture.errors import CaptureError, MotionError, NotReady, ProtectiveStop, RigConnectionError, StopLatched
-from capture.kinematics import pose_from_six
-from capture.measurements import RobotState
-from capture.robots.brake import STILL_RAD_S, Answer, Brake
-from capture.robots.client import ClientChoice, StartFailure
-from capture.robots.link import ChildLink, Sample
-from capture.robots.pendant import Pendant, client_for, require_ready
-from capture.robots.settling import Settling, Window
-from capture.robots.timing import Deadlines
-from capture.safety import Limits
-from datasets import pose
+from koala3d.capture.arms.model import identify
+from koala3d.capture.errors import CaptureError, MotionError, NotReady, ProtectiveStop, RigConnectionError, StopLatched
+from koala3d.capture.kinematics import pose_from_six
+from koala3d.capture.measurements import RobotState
+from koala3d.capture.robots.brake import STILL_RAD_S, Answer, Brake
+from koala3d.capture.robots.client import ClientChoice, StartFailure
+from koala3d.capture.robots.link import ChildLink, Sample
+from koala3d.capture.robots.pendant import Pendant, client_for, require_ready
+from koala3d.capture.robots.settling import Settling, Window
+from koala3d.capture.robots.timing import Deadlines
+from koala3d.capture.safety import Limits
+from koala3d.datasets import pose
 
 log = logging.getLogger(__name__)
 PROTECTIVE_BIT, EMERGENCY_BIT = 1 << 2, 1 << 7

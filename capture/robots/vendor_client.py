@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from rtde_control import RTDEControlInterface
 from rtde_receive import RTDEReceiveInterface
 
-from capture.robots.client import StartError, StartFailure, State, versioned
-from capture.robots.rtde.stream import RegistersInUse, RtdeStream
+from koala3d.capture.robots.client import StartError, StartFailure, State, versioned
+from koala3d.capture.robots.rtde.stream import RegistersInUse, RtdeStream
 
 START_S, RELEASED_S = 2.0, 0.5  # until the program runs, and until a client that failed has let go of its registers [s]
 VARIABLES = (

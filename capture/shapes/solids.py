@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from capture.geometry import PoseDescription
-from capture.shapes.distances import box_distance, least
-from datasets import pose
-from datasets.core.meshes import FORMATS, read_mesh
-from datasets.core.schema import Schema
+from koala3d.capture.geometry import PoseDescription
+from koala3d.capture.shapes.distances import box_distance, least
+from koala3d.datasets import pose
+from koala3d.datasets.core.meshes import FORMATS, read_mesh
+from koala3d.datasets.core.schema import Schema
 
 Array = NDArray[np.float64]
 Positive = Annotated[float, Field(gt=0, le=100)]

@@ -11,20 +11,20 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.cameras.device import Device
-from capture.errors import SimulationError
-from capture.measurements import Image
-from capture.sim.emulated import camera_from_depth, emulated
-from capture.sim.laboratory.flaws import Flaws, SensorMaps, lamp_light
-from capture.sim.laboratory.lens import Lens, Sensor
-from capture.sim.laboratory.views import make_view
-from capture.sim.truth import RigTruth, seed_of_camera
-from capture.sim.turntable import SimulatedTurntable
-from capture.trajectory import Trajectory
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.core import files
-from datasets.imaging import images
+from koala3d.capture.cameras.device import Device
+from koala3d.capture.errors import SimulationError
+from koala3d.capture.measurements import Image
+from koala3d.capture.sim.emulated import camera_from_depth, emulated
+from koala3d.capture.sim.laboratory.flaws import Flaws, SensorMaps, lamp_light
+from koala3d.capture.sim.laboratory.lens import Lens, Sensor
+from koala3d.capture.sim.laboratory.views import make_view
+from koala3d.capture.sim.truth import RigTruth, seed_of_camera
+from koala3d.capture.sim.turntable import SimulatedTurntable
+from koala3d.capture.trajectory import Trajectory
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core import files
+from koala3d.datasets.imaging import images
 
 MOMENTS = 16  # number of moments of an exposure at which the pose of the arm is sampled
 SHARP_PX = 0.05  # smaller motion during an exposure is not rendered [px]

@@ -7,8 +7,8 @@ from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Any
 
-from capture.cameras.nodes import Nodes
-from capture.errors import CaptureError
+from koala3d.capture.cameras.nodes import Nodes
+from koala3d.capture.errors import CaptureError
 
 
 @dataclass(frozen=True)

@@ -11,15 +11,15 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.cameras.basler import Basler, serial_of
-from capture.cameras.device import Device
-from capture.errors import CaptureError
-from capture.measurements import Image, Pixels
-from capture.sim.realsense_device import BASELINE_M, UNIT_M, SoftwareRealSense
-from capture.trajectory import CameraSettings
-from datasets.camera_model import Camera
-from datasets.imaging import images
-from datasets.imaging.region import Region
+from koala3d.capture.cameras.basler import Basler, serial_of
+from koala3d.capture.cameras.device import Device
+from koala3d.capture.errors import CaptureError
+from koala3d.capture.measurements import Image, Pixels
+from koala3d.capture.sim.realsense_device import BASELINE_M, UNIT_M, SoftwareRealSense
+from koala3d.capture.trajectory import CameraSettings
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.imaging import images
+from koala3d.datasets.imaging.region import Region
 
 STEREO_BASELINE_M = 0.05
 """Between the infrared sensors of a D435."""
@@ -117,7 +117,7 @@ class EmulatedRealSense:
     """librealsense's software device. It sends only during an exposure, so that rendering has the processor for itself."""
 
     def __init__(self, settings: CameraSettings, device: Device, sensor_camera: Camera) -> None:
-        from capture.cameras.realsense import RealSense
+        from koala3d.capture.cameras.realsense import RealSense
 
         self._settings, self._device = settings, device
         self._source = SoftwareRealSense(sensor_camera)

@@ -10,12 +10,12 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.arms.model import ArmModel
-from capture.errors import MotionError, RigConnectionError, StopLatched
-from capture.measurements import RobotState
-from capture.robots.settling import Settling, Window
-from capture.safety import Limits
-from capture.sim.controller.arm import Arm
+from koala3d.capture.arms.model import ArmModel
+from koala3d.capture.errors import MotionError, RigConnectionError, StopLatched
+from koala3d.capture.measurements import RobotState
+from koala3d.capture.robots.settling import Settling, Window
+from koala3d.capture.safety import Limits
+from koala3d.capture.sim.controller.arm import Arm
 
 Array = NDArray[np.float64]
 TICK_S = 0.002  # period of the simulation in its own time [s]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.camera_model import Camera
+from koala3d.datasets.camera_model import Camera
 
 SERIAL = "000000000435"
 COLOUR_MODES = ((1920, 1080), (1280, 720), (960, 540), (848, 480), (640, 480), (640, 360), (424, 240), (320, 240), (320, 180))

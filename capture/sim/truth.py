@@ -9,11 +9,11 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.arms.carrier import Carrier
-from capture.trajectory import Trajectory
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.core.errors import UsageError
+from koala3d.capture.arms.carrier import Carrier
+from koala3d.capture.trajectory import Trajectory
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core.errors import UsageError
 
 SENSOR_WIDTH, SENSOR_HEIGHT = 1920, 1080
 FOCAL_PX = 2.8e-3 / 2.2e-6  # a 2.8 mm lens over pixels of 2.2 um (Basler acA1920-25uc)

@@ -6,10 +6,10 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.sim.grbl import SimulatedGrbl
-from capture.turntables.description import TurntableDescription
-from datasets import pose
-from datasets.turntable import Axis
+from koala3d.capture.sim.grbl import SimulatedGrbl
+from koala3d.capture.turntables.description import TurntableDescription
+from koala3d.datasets import pose
+from koala3d.datasets.turntable import Axis
 
 SHIFT_M = 2e-3  # standard deviation of the axis from the nominal one, along each direction across it
 TILT_RAD = np.deg2rad(0.3)  # the same of its tilt

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
-from capture.geometry import PoseDescription
-from datasets.core.errors import UsageError
-from datasets.core.schema import Schema
-from datasets.turntable import Axis
+from koala3d.capture.geometry import PoseDescription
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.core.schema import Schema
+from koala3d.datasets.turntable import Axis
 
 
 class TurntableDescription(Schema):

@@ -13,10 +13,10 @@ from typing import Any, Self
 
 import numpy as np
 
-from capture.errors import MotionError, NotReady, RigConnectionError, SafetyError, StopLatched
-from capture.turntables.description import TurntableDescription
-from capture.turntables.wire import Wire
-from datasets.core.console import hint
+from koala3d.capture.errors import MotionError, NotReady, RigConnectionError, SafetyError, StopLatched
+from koala3d.capture.turntables.description import TurntableDescription
+from koala3d.capture.turntables.wire import Wire
+from koala3d.datasets.core.console import hint
 
 CANCEL = b"\x85"
 AWAKE_S = 5.0  # an Arduino starts again when its port is opened, which takes two seconds

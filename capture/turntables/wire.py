@@ -6,7 +6,7 @@ import socket
 import threading
 import time
 
-from capture.errors import RigConnectionError
+from koala3d.capture.errors import RigConnectionError
 
 CONNECT_S = 5.0
 LONGEST = 4096  # bytes without a newline after which the other end is taken to speak something else

@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.checks.evidence import OUTSTANDING, Evidence
-from datasets.core.findings import Finding
-from datasets.structure import matching
-from datasets.structure.relative import robust_median, values_of_views
+from koala3d.datasets.checks.evidence import OUTSTANDING, Evidence
+from koala3d.datasets.core.findings import Finding
+from koala3d.datasets.structure import matching
+from koala3d.datasets.structure.relative import robust_median, values_of_views
 
 FINE_PX, COARSE_PX, WINDOW_PX = 0.6, 2.4, 5.0
 """Scales of the contrast, and of the window around a point [px of the image that was searched]."""

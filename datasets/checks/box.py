@@ -3,9 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.checks.evidence import Evidence
-from datasets.core.findings import Finding
-from datasets.structure import bounds
+from koala3d.datasets.checks.evidence import Evidence
+from koala3d.datasets.core.findings import Finding
+from koala3d.datasets.structure import bounds
 
 FEWEST = 60
 """Points with which a box is judged."""

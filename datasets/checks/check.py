@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.checks import coverage
-from datasets.checks.matches import check_matches
-from datasets.checks.poses import check_poses
-from datasets.core import files
-from datasets.core.errors import KoalaError
-from datasets.core.findings import Finding, from_error
-from datasets.core.progress import Count, ignore
-from datasets.formats import load_scene
-from datasets.imaging import images
-from datasets.scene import Scene, View
-from datasets.structure import bounds
+from koala3d.datasets.checks import coverage
+from koala3d.datasets.checks.matches import check_matches
+from koala3d.datasets.checks.poses import check_poses
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import KoalaError
+from koala3d.datasets.core.findings import Finding, from_error
+from koala3d.datasets.core.progress import Count, ignore
+from koala3d.datasets.formats import load_scene
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import Scene, View
+from koala3d.datasets.structure import bounds
 
 THUMBNAIL, ALIKE = 16, 0.4 / 255
 """Pixels per side of a thumbnail, and the mean difference below which two images are the same up to noise."""

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from datasets.core.findings import Finding
-from datasets.scene import Scene
-from datasets.structure import bounds
+from koala3d.datasets.core.findings import Finding
+from koala3d.datasets.scene import Scene
+from koala3d.datasets.structure import bounds
 
 APART_DEG, SPARSE_DEG = 25.0, 40.0
 """Least angle to the nearest other training view from which a view stands alone, and the same for the median of all."""

@@ -6,12 +6,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.core.console import progress
-from datasets.scene import Scene, View
-from datasets.structure import bounds, matching
-from datasets.structure.epipolar import Pairs
-from datasets.structure.matching import Features, Matches
-from datasets.structure.triangulate import Cloud, triangulate
+from koala3d.datasets.core.console import progress
+from koala3d.datasets.scene import Scene, View
+from koala3d.datasets.structure import bounds, matching
+from koala3d.datasets.structure.epipolar import Pairs
+from koala3d.datasets.structure.matching import Features, Matches
+from koala3d.datasets.structure.triangulate import Cloud, triangulate
 
 VIEWS = 80
 """Largest number of views that are matched. Of more, neighbours would be too far apart on shiny objects."""

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from datasets.checks.evidence import OUTSTANDING, Evidence
-from datasets.core.findings import Finding
-from datasets.structure.exposure import ExposureGains, exposure_gains
+from koala3d.datasets.checks.evidence import OUTSTANDING, Evidence
+from koala3d.datasets.core.findings import Finding
+from koala3d.datasets.structure.exposure import ExposureGains, exposure_gains
 
 LEAST, CERTAIN = np.log(1.12), np.log(1.5)
 """Log gain from which a view is reported where it stands out from the others, and from which it is reported anyway."""

@@ -5,9 +5,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.checks.evidence import Evidence
-from datasets.core.findings import Finding
-from datasets.structure.epipolar import CLOSE, WIDTHS, Correction, Pairs, corrected, off_plane
+from koala3d.datasets.checks.evidence import Evidence
+from koala3d.datasets.core.findings import Finding
+from koala3d.datasets.structure.epipolar import CLOSE, WIDTHS, Correction, Pairs, corrected, off_plane
 
 LEAST_PX = 1.0
 """Shift at the middle of the picture's edge from which an error is reported [px of the image that was searched]."""

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from datasets.checks.evidence import Evidence
-from datasets.core.findings import Finding
-from datasets.structure.light_frame import light_frames
+from koala3d.datasets.checks.evidence import Evidence
+from koala3d.datasets.core.findings import Finding
+from koala3d.datasets.structure.light_frame import light_frames
 
 LEAST = 0.12
 """Least share of the variation of colours that a moving frame explains beyond the world's; still light reaches 0.02."""

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.checks.evidence import OUTSTANDING, Evidence
-from datasets.core.findings import Finding
+from koala3d.datasets.checks.evidence import OUTSTANDING, Evidence
+from koala3d.datasets.core.findings import Finding
 
 CELLS = 72
 """Cells of the grid along the box's longest side; those that stay, and their neighbours, are halved once."""

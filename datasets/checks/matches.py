@@ -10,14 +10,14 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import pose
-from datasets.checks import blur, box, exposure, intrinsics, light, masks, motion, single_poses
-from datasets.checks.evidence import VIEWS, Evidence
-from datasets.conventions import OPENCV_FROM_LLFF, OPENCV_FROM_OPENGL
-from datasets.core.errors import KoalaError
-from datasets.core.findings import Finding
-from datasets.scene import Scene
-from datasets.structure.triangulate import DOUBTFUL, agreement
+from koala3d.datasets import pose
+from koala3d.datasets.checks import blur, box, exposure, intrinsics, light, masks, motion, single_poses
+from koala3d.datasets.checks.evidence import VIEWS, Evidence
+from koala3d.datasets.conventions import OPENCV_FROM_LLFF, OPENCV_FROM_OPENGL
+from koala3d.datasets.core.errors import KoalaError
+from koala3d.datasets.core.findings import Finding
+from koala3d.datasets.scene import Scene
+from koala3d.datasets.structure.triangulate import DOUBTFUL, agreement
 
 FEWEST = 150
 """With fewer matches, poses are not judged."""

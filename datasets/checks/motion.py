@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.checks.evidence import Evidence
-from datasets.core.findings import Finding
+from koala3d.datasets.checks.evidence import Evidence
+from koala3d.datasets.core.findings import Finding
 
 FAR_PX = 4.0
 """Distance from the epipolar plane beyond which a match contradicts the poses."""

@@ -3,10 +3,10 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import pose
-from datasets.core.findings import Finding
-from datasets.scene import Scene, View
-from datasets.structure import bounds
+from koala3d.datasets import pose
+from koala3d.datasets.core.findings import Finding
+from koala3d.datasets.scene import Scene, View
+from koala3d.datasets.structure import bounds
 
 LEAK_DEG, LEAK_SHARE = 0.5, 0.005
 """A test camera closer than this to a training camera, in angle and relative to its distance to the focus, repeats its image."""

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import pose
-from datasets.checks.evidence import Evidence
-from datasets.core.findings import Finding
-from datasets.structure.epipolar import corrected
-from datasets.structure.triangulate import DOUBTFUL, agreement, explained
+from koala3d.datasets import pose
+from koala3d.datasets.checks.evidence import Evidence
+from koala3d.datasets.core.findings import Finding
+from koala3d.datasets.structure.epipolar import corrected
+from koala3d.datasets.structure.triangulate import DOUBTFUL, agreement, explained
 
 LEAST_PX = 0.65
 """Shift of the picture from which a pose is reported [px of the image that was searched]."""

@@ -10,8 +10,8 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.core import files
-from datasets.core.errors import DatasetError
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import DatasetError
 
 MAX_BYTES = 2**28  # larger archives, by unpacked size, are refused: ours hold poses and points, not images
 _DAMAGE = (ArithmeticError, LookupError, MemoryError, OSError, RuntimeError, SyntaxError, TypeError, ValueError)

@@ -4,7 +4,7 @@ import os
 import sys
 from pathlib import Path
 
-from datasets.core.errors import UsageError
+from koala3d.datasets.core.errors import UsageError
 
 
 def budget(name: str, default: int) -> int:

@@ -17,10 +17,10 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 
-from datasets.core.errors import KoalaError
-from datasets.core.extras import not_installed
-from datasets.core.options import Json as Json
-from datasets.core.options import Port as Port
+from koala3d.datasets.core.errors import KoalaError
+from koala3d.datasets.core.extras import not_installed
+from koala3d.datasets.core.options import Json as Json
+from koala3d.datasets.core.options import Port as Port
 
 _INTERRUPTED = 130  # what newer versions of typer return where Ctrl-C stopped a command
 _ClickException: Any = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
@@ -44,8 +44,7 @@ def make_app(name: str, help: str) -> typer.Typer:
     def _common(debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks and debug messages.")] = False) -> None:
         _state["debug"] = debug
         logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")
-        for package in ("capture", "calib", "datasets", "reconstruct"):  # other libraries log thousands of debug messages
-            logging.getLogger(package).setLevel(logging.DEBUG if debug else logging.WARNING)
+        logging.getLogger("koala3d").setLevel(logging.DEBUG if debug else logging.WARNING)  # others log thousands of messages
 
     return app
 
@@ -109,7 +108,7 @@ def _fail(message: str, code: int, error: BaseException | None = None) -> NoRetu
 
 def report(result: dict[str, Any], *, as_json: bool, text: str) -> None:
     """Print the result of a command: `text` for a person, `result` for a program."""
-    from datasets.core.files import _plain
+    from koala3d.datasets.core.files import _plain
 
     print(json.dumps(result, default=_plain) if as_json else text, flush=True)
 

@@ -1,6 +1,6 @@
 """Optional dependencies: which extra installs a module that is missing."""
 
-from datasets.core.errors import KoalaError
+from koala3d.datasets.core.errors import KoalaError
 
 EXTRAS = {
     "pypylon": "robot",

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from datasets.core.errors import DatasetError, UsageError, nearest
+from koala3d.datasets.core.errors import DatasetError, UsageError, nearest
 
 MAX_JSON_BYTES = 2**26  # larger JSON files are refused; one of ten thousand frames has a fifth of this size
 LONGEST_NAME = 255  # longest file name that file systems allow [bytes]

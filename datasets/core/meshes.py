@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.core.errors import UsageError
+from koala3d.datasets.core.errors import UsageError
 
 FORMATS = (".ply", ".obj", ".stl", ".off", ".glb")
 

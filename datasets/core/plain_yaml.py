@@ -5,9 +5,9 @@ from typing import Any
 
 import yaml
 
-from datasets.core import files
-from datasets.core.budgets import budget
-from datasets.core.errors import UsageError
+from koala3d.datasets.core import files
+from koala3d.datasets.core.budgets import budget
+from koala3d.datasets.core.errors import UsageError
 
 MAX_BYTES = 2**22
 MAX_DEPTH = 50

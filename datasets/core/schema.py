@@ -15,8 +15,8 @@ from typing import Any, TypeVar, get_args
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from datasets.core import plain_yaml
-from datasets.core.errors import UsageError, nearest
+from koala3d.datasets.core import plain_yaml
+from koala3d.datasets.core.errors import UsageError, nearest
 
 Place = tuple[str | int, ...]
 

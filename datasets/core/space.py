@@ -3,7 +3,7 @@
 import shutil
 from pathlib import Path
 
-from datasets.core.errors import KoalaError
+from koala3d.datasets.core.errors import KoalaError
 
 
 def require_room(folder: Path, size: float, what: str) -> None:

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from datasets.core import console, options
-from datasets.core.options import DataRoot, Json, OutFolder
+from koala3d.datasets.core import console, options
+from koala3d.datasets.core.options import DataRoot, Json, OutFolder
 
 if TYPE_CHECKING:
-    from datasets.scene import Scene
+    from koala3d.datasets.scene import Scene
 
 Edit = Callable[["Scene", Path, Callable[[], None]], "Scene"]
 
@@ -33,9 +33,9 @@ def subset(
     as_json: Json = False,
 ) -> None:
     """Write a scene with a part of the views of another."""
-    from datasets.core.errors import UsageError, nearest
-    from datasets.edit import edit
-    from datasets.scene import SPLITS
+    from koala3d.datasets.core.errors import UsageError, nearest
+    from koala3d.datasets.edit import edit
+    from koala3d.datasets.scene import SPLITS
 
     chosen = [word.strip() for word in splits.split(",") if word.strip()]
     for word in chosen:
@@ -54,7 +54,7 @@ def split(
     as_json: Json = False,
 ) -> None:
     """Write a scene with a new division of its views into training and test."""
-    from datasets.edit import edit
+    from koala3d.datasets.edit import edit
 
     _write(scene, out, data_root, as_json, lambda s, folder, done: edit.split(s, every=every, test=test, val=val))
 
@@ -66,9 +66,9 @@ def merge(
     as_json: Json = False,
 ) -> None:
     """Write one scene with the views of several that share a coordinate frame."""
-    from datasets.edit import edit
-    from datasets.formats import load_scene
-    from datasets.formats.links import plain_masks
+    from koala3d.datasets.edit import edit
+    from koala3d.datasets.formats import load_scene
+    from koala3d.datasets.formats.links import plain_masks
 
     with ExitStack() as stack:
         others = [stack.enter_context(plain_masks(load_scene(name, data_root=data_root))) for name in scenes[1:]]
@@ -83,14 +83,14 @@ def downscale(
     as_json: Json = False,
 ) -> None:
     """Write a scene with smaller images."""
-    from datasets.edit import edit
+    from koala3d.datasets.edit import edit
 
     _write(scene, out, data_root, as_json, lambda s, folder, done: edit.downscaled(s, factor, folder, done=done))
 
 
 def undistort(scene: options.Scene, out: OutFolder, data_root: DataRoot = None, as_json: Json = False) -> None:
     """Write a scene with every image resampled to a centred pinhole camera."""
-    from datasets.edit import edit
+    from koala3d.datasets.edit import edit
 
     _write(scene, out, data_root, as_json, lambda s, folder, done: edit.undistorted(s, folder, done=done), any_lens=True)
 
@@ -106,17 +106,17 @@ def crop(
     as_json: Json = False,
 ) -> None:
     """Write a scene with every image cropped to one rectangle."""
-    from datasets.edit import edit
+    from koala3d.datasets.edit import edit
 
     _write(scene, out, data_root, as_json, lambda s, folder, done: edit.cropped(s, left, top, width, height, folder, done=done))
 
 
 def _write(name: str, out: Path, data_root: Path | None, as_json: bool, change: Edit, *, any_lens: bool = False) -> None:
     """Load a scene, change it, and write it as a Koala scene, all or nothing."""
-    from datasets.build import extra_truth
-    from datasets.core.files import refuse_existing
-    from datasets.formats import find, koala, load_scene
-    from datasets.formats.links import plain_masks
+    from koala3d.datasets.build import extra_truth
+    from koala3d.datasets.core.files import refuse_existing
+    from koala3d.datasets.formats import find, koala, load_scene
+    from koala3d.datasets.formats.links import plain_masks
 
     refuse_existing(out)
     loaded = load_scene(name, data_root=data_root, any_lens=any_lens)

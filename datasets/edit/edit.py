@@ -14,15 +14,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import splits
-from datasets.camera_model import Camera
-from datasets.core import files
-from datasets.core.errors import UsageError
-from datasets.core.progress import Step, ignore
-from datasets.formats import export
-from datasets.formats.links import file_name
-from datasets.imaging import downscale, images
-from datasets.scene import LOSSY, SPLITS, Scene, Sightings, View
+from koala3d.datasets import splits
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.core.progress import Step, ignore
+from koala3d.datasets.formats import export
+from koala3d.datasets.formats.links import file_name
+from koala3d.datasets.imaging import downscale, images
+from koala3d.datasets.scene import LOSSY, SPLITS, Scene, Sightings, View
 
 Pixels = NDArray[np.float64]
 _CENTRED = export.Layout("", lambda camera: camera.is_centred, "", mask="masks/{stem}")

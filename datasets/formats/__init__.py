@@ -7,13 +7,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from datasets.core.errors import DatasetError, KoalaError, UsageError, nearest
-from datasets.core.progress import Step, ignore
-from datasets.formats import blender, colmap, dtu, koala, llff, nerfstudio, sdfstudio
-from datasets.formats.assemble import CAMERAS_ALONE
-from datasets.formats.finding.almost import explain
-from datasets.formats.links import Extra, plain_masks
-from datasets.scene import Scene
+from koala3d.datasets.core.errors import DatasetError, KoalaError, UsageError, nearest
+from koala3d.datasets.core.progress import Step, ignore
+from koala3d.datasets.formats import blender, colmap, dtu, koala, llff, nerfstudio, sdfstudio
+from koala3d.datasets.formats.assemble import CAMERAS_ALONE
+from koala3d.datasets.formats.finding.almost import explain
+from koala3d.datasets.formats.links import Extra, plain_masks
+from koala3d.datasets.scene import Scene
 
 WRITTEN = {"koala": koala, "blender": blender, "nerfstudio": nerfstudio, "llff": llff, "dtu": dtu, "colmap": colmap}
 """Module of each format that is read and written, with `detect`, `load` and `save`."""
@@ -74,7 +74,7 @@ def load_scene(
     if images is not None:  # truth and sightings are of the full size
         scene = replace(scene, views=tuple(replace(view, truth={}) for view in scene.views), sightings=None)
     if measure and scene.points is None and scene.bounds_from.startswith(CAMERAS_ALONE):
-        from datasets.structure.measure import measured
+        from koala3d.datasets.structure.measure import measured
 
         scene = measured(scene)
     return scene

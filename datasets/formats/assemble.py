@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.camera_model import Camera
-from datasets.core import files
-from datasets.core.errors import DatasetError, KoalaError
-from datasets.formats.finding import masks
-from datasets.imaging import images
-from datasets.scene import SAME_SHAPE, Scene, View, checked_name
-from datasets.structure import bounds, polarity
-from datasets.structure.hull import visual_hull
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import DatasetError, KoalaError
+from koala3d.datasets.formats.finding import masks
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import SAME_SHAPE, Scene, View, checked_name
+from koala3d.datasets.structure import bounds, polarity
+from koala3d.datasets.structure.hull import visual_hull
 
 SHORTEST, LONGEST = 1e-3, 1e6
 """Range of plausible focal lengths, in image widths."""

@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from datasets import splits
-from datasets.core import files
-from datasets.core.errors import KoalaError
-from datasets.core.progress import Step, ignore
-from datasets.formats import assemble, export, opengl, sidecar
-from datasets.formats.links import Extra, file_name, link_all
-from datasets.imaging import images
-from datasets.scene import DISPARITY, SPLITS, Scene, View
+from koala3d.datasets import splits
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import KoalaError
+from koala3d.datasets.core.progress import Step, ignore
+from koala3d.datasets.formats import assemble, export, opengl, sidecar
+from koala3d.datasets.formats.links import Extra, file_name, link_all
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import DISPARITY, SPLITS, Scene, View
 
 TRUTH = {"normals": ("_normal.png",), "alpha": ("_alpha.png",), "depth": (f"{DISPARITY}.tiff", f"{DISPARITY}.tif")}
 """Name suffixes of the truth maps; the first of each is written."""

@@ -10,17 +10,17 @@ from typing import Any
 
 import numpy as np
 
-from datasets import pose, splits
-from datasets.camera_model import Camera
-from datasets.core import files
-from datasets.core.errors import DatasetError, KoalaError, UsageError
-from datasets.core.progress import Step, ignore
-from datasets.formats import assemble, colmap_library, export, llff, sidecar
-from datasets.formats.colmap_files import Model, StoredCamera, StoredImage, read_model
-from datasets.formats.finding import models
-from datasets.formats.finding.pictures import Listing, homes, photographs
-from datasets.formats.links import Extra, file_name, link_all, write_smaller
-from datasets.scene import Scene, Sightings, View
+from koala3d.datasets import pose, splits
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import DatasetError, KoalaError, UsageError
+from koala3d.datasets.core.progress import Step, ignore
+from koala3d.datasets.formats import assemble, colmap_library, export, llff, sidecar
+from koala3d.datasets.formats.colmap_files import Model, StoredCamera, StoredImage, read_model
+from koala3d.datasets.formats.finding import models
+from koala3d.datasets.formats.finding.pictures import Listing, homes, photographs
+from koala3d.datasets.formats.links import Extra, file_name, link_all, write_smaller
+from koala3d.datasets.scene import Scene, Sightings, View
 
 _FOCALS, _TANGENTIAL = ("fx", "fy", "cx", "cy"), ("k1", "k2", "p1", "p2")
 PARAMETERS = {

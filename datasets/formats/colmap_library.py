@@ -8,11 +8,11 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.core.errors import DatasetError
-from datasets.formats.export import moved
-from datasets.scene import Scene, View
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core.errors import DatasetError
+from koala3d.datasets.formats.export import moved
+from koala3d.datasets.scene import Scene, View
 
 POINTWISE = ("FOV", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE", "SIMPLE_DIVISION", "DIVISION", "EUCM")
 """Lens models of the library that have a pinhole's parameters first and bend the rays of one."""

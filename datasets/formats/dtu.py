@@ -11,18 +11,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import pose, splits
-from datasets.camera_model import Camera
-from datasets.conventions import opencv_from_pixels, pixels_from_opencv
-from datasets.core import arrays, files
-from datasets.core.errors import DatasetError, KoalaError
-from datasets.core.progress import Step, ignore
-from datasets.formats import assemble, export, sidecar
-from datasets.formats.finding import pictures
-from datasets.formats.links import Extra, link_all
-from datasets.imaging import images
-from datasets.scene import Scene, View
-from datasets.structure import bounds
+from koala3d.datasets import pose, splits
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.conventions import opencv_from_pixels, pixels_from_opencv
+from koala3d.datasets.core import arrays, files
+from koala3d.datasets.core.errors import DatasetError, KoalaError
+from koala3d.datasets.core.progress import Step, ignore
+from koala3d.datasets.formats import assemble, export, sidecar
+from koala3d.datasets.formats.finding import pictures
+from koala3d.datasets.formats.links import Extra, link_all
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import Scene, View
+from koala3d.datasets.structure import bounds
 
 CAMERAS = ("cameras_sphere.npz", "cameras.npz", "cameras_large.npz")
 LAYOUT = export.Layout("DTU's layout", lambda camera: camera.is_pinhole, "lens distortion", mask="mask/{stem}")

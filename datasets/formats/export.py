@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.camera_model import Camera
-from datasets.core.errors import DatasetError
-from datasets.core.progress import Step
-from datasets.formats.links import file_name, link, new_file
-from datasets.imaging import images, undistort
-from datasets.scene import DISPARITY, Scene, View
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core.errors import DatasetError
+from koala3d.datasets.core.progress import Step
+from koala3d.datasets.formats.links import file_name, link, new_file
+from koala3d.datasets.imaging import images, undistort
+from koala3d.datasets.scene import DISPARITY, Scene, View
 
 ORDERS = {"normals": undistort.NEAREST, "depth": undistort.NEAREST}
 """Interpolation of truth maps that must not be mixed across edges; the others are interpolated linearly."""

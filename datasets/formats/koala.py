@@ -15,14 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.core import arrays, files
-from datasets.core.errors import DatasetError, KoalaError
-from datasets.core.progress import Step, ignore
-from datasets.formats import assemble, sidecar
-from datasets.formats.links import Extra, file_name, link, link_all, write_smaller
-from datasets.scene import DISPARITY, SPLITS, Scene, Sightings, View, checked_name
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core import arrays, files
+from koala3d.datasets.core.errors import DatasetError, KoalaError
+from koala3d.datasets.core.progress import Step, ignore
+from koala3d.datasets.formats import assemble, sidecar
+from koala3d.datasets.formats.links import Extra, file_name, link, link_all, write_smaller
+from koala3d.datasets.scene import DISPARITY, SPLITS, Scene, Sightings, View, checked_name
 
 FILE = "cameras.json"
 FORMAT, VERSION = "koala-scene", 1

@@ -10,11 +10,11 @@ from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
-from datasets.core import files
-from datasets.core.errors import DatasetError
-from datasets.imaging import downscale, images
-from datasets.recording import TRUTH
-from datasets.scene import LOSSY, Scene, View
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import DatasetError
+from koala3d.datasets.imaging import downscale, images
+from koala3d.datasets.recording import TRUTH
+from koala3d.datasets.scene import LOSSY, Scene, View
 
 Extra = Mapping[str, Path] | None
 """Further files to include in a scene, by relative name."""

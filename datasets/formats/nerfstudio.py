@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import splits
-from datasets.camera_model import Camera
-from datasets.core import files
-from datasets.core.errors import DatasetError, KoalaError
-from datasets.core.progress import Step, ignore
-from datasets.formats import assemble, export, opengl, ply, sidecar
-from datasets.formats.links import Extra, file_name, link_all, write_smaller
-from datasets.imaging import downscale, images
-from datasets.scene import SPLITS, Scene, View
+from koala3d.datasets import splits
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import DatasetError, KoalaError
+from koala3d.datasets.core.progress import Step, ignore
+from koala3d.datasets.formats import assemble, export, opengl, ply, sidecar
+from koala3d.datasets.formats.links import Extra, file_name, link_all, write_smaller
+from koala3d.datasets.imaging import downscale, images
+from koala3d.datasets.scene import SPLITS, Scene, View
 
 FILE = "transforms.json"
 LAYOUT = export.Layout(

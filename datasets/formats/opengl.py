@@ -8,14 +8,14 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.conventions import OPENCV_FROM_OPENGL
-from datasets.core import files
-from datasets.core.errors import DatasetError
-from datasets.formats.assemble import foreign_lens, listed_once
-from datasets.formats.finding.pictures import Listing, homes
-from datasets.imaging import images
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.conventions import OPENCV_FROM_OPENGL
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import DatasetError
+from koala3d.datasets.formats.assemble import foreign_lens, listed_once
+from koala3d.datasets.formats.finding.pictures import Listing, homes
+from koala3d.datasets.imaging import images
 
 PINHOLES = frozenset(
     {"OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "FULL_OPENCV", "PERSPECTIVE", "BROWN", "NONE", ""}

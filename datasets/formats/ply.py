@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.core import files
-from datasets.core.errors import DatasetError
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import DatasetError
 
 TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4", "double": "f8",

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from datasets import pose, splits
-from datasets.camera_model import Camera
-from datasets.core import arrays, files
-from datasets.core.errors import DatasetError, KoalaError
-from datasets.formats import assemble, opengl
-from datasets.imaging import images
-from datasets.scene import Scene, View
+from koala3d.datasets import pose, splits
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core import arrays, files
+from koala3d.datasets.core.errors import DatasetError, KoalaError
+from koala3d.datasets.formats import assemble, opengl
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import Scene, View
 
 FILE = "meta_data.json"
 MASKS = ("foreground_mask", "mask_path")

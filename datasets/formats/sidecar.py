@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from datasets.core import files
-from datasets.core.errors import DatasetError
-from datasets.scene import CHANNELS, LIGHT_FRAMES, SPLITS, STATED, Scene, View, checked_name
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import DatasetError
+from koala3d.datasets.scene import CHANNELS, LIGHT_FRAMES, SPLITS, STATED, Scene, View, checked_name
 
 FILE = "koala.json"
 FORMAT, VERSION = "koala-sidecar", 1

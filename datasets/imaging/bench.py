@@ -10,8 +10,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from datasets.imaging import downscale, images, reduced
-from datasets.imaging.copies import Copies
+from koala3d.datasets.imaging import downscale, images, reduced
+from koala3d.datasets.imaging.copies import Copies
 
 
 def read_and_shrink(

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.core import files
+from koala3d.datasets.core import files
 
 ROOM = 2**31
 """So much of the disk [bytes] is left free."""

@@ -13,9 +13,9 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.camera_model import Camera
-from datasets.core.errors import DatasetError
-from datasets.imaging import images
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core.errors import DatasetError
+from koala3d.datasets.imaging import images
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")

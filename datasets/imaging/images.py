@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from datasets.core import files
-from datasets.core.budgets import budget, free_memory
-from datasets.core.errors import DatasetError, UsageError
-from datasets.imaging.pixels import area_average, upright
+from koala3d.datasets.core import files
+from koala3d.datasets.core.budgets import budget, free_memory
+from koala3d.datasets.core.errors import DatasetError, UsageError
+from koala3d.datasets.imaging.pixels import area_average, upright
 
 PIXELS = "KOALA_MAX_PIXELS"
 FREE_PIXELS, PIXELS_PER_BYTE = 2**25, 64

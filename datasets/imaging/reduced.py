@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.imaging import images
+from koala3d.datasets.imaging import images
 
 LEFT = 4
 """A new pixel covers at least this many decoded ones along each axis, where a JPEG is decoded at a reduced size."""

@@ -7,8 +7,8 @@ by the binning, then shift by the offset.
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Self
 
-from datasets.camera_model import Camera
-from datasets.core.errors import DatasetError
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core.errors import DatasetError
 
 
 @dataclass(frozen=True)

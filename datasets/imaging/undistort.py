@@ -10,8 +10,8 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from datasets import pose
-from datasets.camera_model import Camera
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
 
 COLOUR, SMOOTH, NEAREST = 5, 1, 0
 """Orders of interpolation. COLOUR: quintic spline, nearly as sharp as a sinc, which keeps detail and noise (Thevenaz et al. 2000,

@@ -7,15 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets.checks import coverage
-from datasets.checks.evidence import VIEWS, Evidence
-from datasets.checks.matches import check_evidence
-from datasets.core.findings import Finding
-from datasets.core.progress import Step, ignore
-from datasets.imaging import images
-from datasets.injuries.injure import INJURIES, Injury, whole
-from datasets.injuries.studio import Studio, write
-from datasets.scene import Scene
+from koala3d.datasets.checks import coverage
+from koala3d.datasets.checks.evidence import VIEWS, Evidence
+from koala3d.datasets.checks.matches import check_evidence
+from koala3d.datasets.core.findings import Finding
+from koala3d.datasets.core.progress import Step, ignore
+from koala3d.datasets.imaging import images
+from koala3d.datasets.injuries.injure import INJURIES, Injury, whole
+from koala3d.datasets.injuries.studio import Studio, write
+from koala3d.datasets.scene import Scene
 
 SIDE = 400
 """Pictures are shrunk to this many pixels a side. As many views are used as the checks look at, evenly spread."""

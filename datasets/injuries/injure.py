@@ -12,11 +12,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import pose
-from datasets.checks import masks
-from datasets.imaging import images
-from datasets.scene import Scene, View
-from datasets.structure import bounds
+from koala3d.datasets import pose
+from koala3d.datasets.checks import masks
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import Scene, View
+from koala3d.datasets.structure import bounds
 
 Hurt = tuple[Scene, set[str]]
 Picture = NDArray[np.float32]

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.imaging import images
-from datasets.scene import Scene, View
-from datasets.structure import bounds
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import Scene, View
+from koala3d.datasets.structure import bounds
 
 Vectors = NDArray[np.float64]
 

@@ -4,7 +4,7 @@ Built on viser. `open_page` starts the server for this machine only; the `view` 
 panel. Only pages import this package, so that everything else works without viser.
 """
 
-from datasets.page.panel import PicturePanel
-from datasets.page.server import PORT, Page, open_page
+from koala3d.datasets.page.panel import PicturePanel
+from koala3d.datasets.page.server import PORT, Page, open_page
 
 __all__ = ["PORT", "Page", "PicturePanel", "open_page"]

@@ -6,8 +6,8 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from datasets.imaging import images
-from datasets.page.server import Page
+from koala3d.datasets.imaging import images
+from koala3d.datasets.page.server import Page
 
 Picture = NDArray[np.floating] | NDArray[np.uint8]
 

@@ -6,9 +6,9 @@ import numpy as np
 import viser
 from numpy.typing import ArrayLike, NDArray
 
-from datasets.page import shapes
-from datasets.page.server import Page
-from datasets.scene import Scene
+from koala3d.datasets.page import shapes
+from koala3d.datasets.page.server import Page
+from koala3d.datasets.scene import Scene
 
 WIDEST = np.deg2rad(3.0)
 """Largest angle between a click and the point that it is taken for."""

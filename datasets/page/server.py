@@ -26,7 +26,7 @@ from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from datasets.core.errors import KoalaError
+from koala3d.datasets.core.errors import KoalaError
 
 HOST, PORT = "127.0.0.1", 8080  # address of pages, for this machine only, at the first free port from PORT on
 JOIN_S = 0.3  # how long closing a page waits for its background work [s]

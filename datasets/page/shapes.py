@@ -6,10 +6,10 @@ import numpy as np
 import viser
 from numpy.typing import ArrayLike, NDArray
 
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.page.server import Page
-from datasets.structure.bounds import corners
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.page.server import Page
+from koala3d.datasets.structure.bounds import corners
 
 Colour = tuple[int, int, int]
 

@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 import viser
 
-from datasets.checks.check import check, summary
-from datasets.core.errors import KoalaError
-from datasets.core.findings import Finding
-from datasets.imaging import images
-from datasets.page import Page, PicturePanel, shapes
-from datasets.page.panel import bytes_of
-from datasets.page.ruler import Ruler
-from datasets.scene import Scene, View
-from datasets.structure import bounds
+from koala3d.datasets.checks.check import check, summary
+from koala3d.datasets.core.errors import KoalaError
+from koala3d.datasets.core.findings import Finding
+from koala3d.datasets.imaging import images
+from koala3d.datasets.page import Page, PicturePanel, shapes
+from koala3d.datasets.page.panel import bytes_of
+from koala3d.datasets.page.ruler import Ruler
+from koala3d.datasets.scene import Scene, View
+from koala3d.datasets.structure import bounds
 
 THUMBNAIL = 96  # width of the images on the cameras [px]
 MOST_POINTS = 200_000  # largest number of points shown; larger clouds are thinned

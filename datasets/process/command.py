@@ -5,12 +5,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from datasets.core import console, options
-from datasets.core.options import DataRoot, Json, OutFolder
+from koala3d.datasets.core import console, options
+from koala3d.datasets.core.options import DataRoot, Json, OutFolder
 
 if TYPE_CHECKING:
-    from datasets.process.process import Processed
-    from datasets.process.world.alignment import Aligned, Wishes
+    from koala3d.datasets.process.process import Processed
+    from koala3d.datasets.process.world.alignment import Aligned, Wishes
 
 POINT = "PICTURE:X,Y+PICTURE:X,Y"
 
@@ -61,10 +61,10 @@ def process(
     """Make a posed scene from photographs or a video.
 
     If it is interrupted, the same command continues where it stopped."""
-    from datasets.process.pictures import photographs
-    from datasets.process.poses import pairs
-    from datasets.process.process import Request
-    from datasets.process.process import process as process_pictures
+    from koala3d.datasets.process.pictures import photographs
+    from koala3d.datasets.process.poses import pairs
+    from koala3d.datasets.process.process import Request
+    from koala3d.datasets.process.process import process as process_pictures
 
     _one_of("--match", match, pairs.KINDS)
     _one_of("--cameras", cameras, photographs.SHARING)
@@ -84,10 +84,10 @@ def align(
     as_json: Json = False,
 ) -> None:
     """Write a scene of arbitrary unit and direction in metres, with z up. Ground truth is left out."""
-    from datasets.core.files import refuse_existing
-    from datasets.formats import koala, load_scene
-    from datasets.process.pictures import features
-    from datasets.process.world import alignment
+    from koala3d.datasets.core.files import refuse_existing
+    from koala3d.datasets.formats import koala, load_scene
+    from koala3d.datasets.process.pictures import features
+    from koala3d.datasets.process.world import alignment
 
     wishes = _wishes(marker_mm, known_length, positions, up)
     refuse_existing(out)
@@ -115,8 +115,8 @@ def compare(
     Photographs may have been renamed. Unit, origin and orientation may differ: a similarity is fitted to the camera positions."""
     import numpy as np
 
-    from datasets.formats import load_scene
-    from datasets.process.world.comparison import compared
+    from koala3d.datasets.formats import load_scene
+    from koala3d.datasets.process.world.comparison import compared
 
     found = compared(load_scene(scene, data_root=data_root), load_scene(reference, data_root=data_root))
     rows = {
@@ -138,16 +138,16 @@ def compare(
 
 def _one_of(option: str, word: str, valid: tuple[str, ...]) -> None:
     """Raise UsageError where the value of an option is none of the valid ones."""
-    from datasets.core.errors import UsageError, nearest
+    from koala3d.datasets.core.errors import UsageError, nearest
 
     if word not in valid:
         raise UsageError(f"cannot be {word!r}", where=option, remedy=nearest(word, valid))
 
 
 def _wishes(marker_mm: float | None, known_length: tuple[str, str, float] | None, positions: Path | None, up: str) -> "Wishes":
-    from datasets.process.world import up as upward
-    from datasets.process.world.alignment import Wishes
-    from datasets.process.world.scale import KnownLength
+    from koala3d.datasets.process.world import up as upward
+    from koala3d.datasets.process.world.alignment import Wishes
+    from koala3d.datasets.process.world.scale import KnownLength
 
     _one_of("--up", up, upward.KINDS)
     known = KnownLength.parse(*known_length) if known_length is not None else None

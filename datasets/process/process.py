@@ -7,23 +7,23 @@ from typing import Any
 
 import numpy as np
 
-from datasets import splits
-from datasets.core import console, files
-from datasets.core.errors import DatasetError, UsageError
-from datasets.formats import colmap, koala
-from datasets.formats.links import link
-from datasets.imaging.downscale import streamed
-from datasets.process.pictures import features, frames, photographs
-from datasets.process.pictures.features import Features
-from datasets.process.pictures.markers import Marker
-from datasets.process.pictures.photographs import Found
-from datasets.process.poses import database, mapping, pairs, reasons
-from datasets.process.poses.database import Picture
-from datasets.process.work import Work, state
-from datasets.process.world import alignment
-from datasets.process.world.alignment import Aligned, Wishes
-from datasets.scene import Scene
-from datasets.structure.reprojection import errors_px
+from koala3d.datasets import splits
+from koala3d.datasets.core import console, files
+from koala3d.datasets.core.errors import DatasetError, UsageError
+from koala3d.datasets.formats import colmap, koala
+from koala3d.datasets.formats.links import link
+from koala3d.datasets.imaging.downscale import streamed
+from koala3d.datasets.process.pictures import features, frames, photographs
+from koala3d.datasets.process.pictures.features import Features
+from koala3d.datasets.process.pictures.markers import Marker
+from koala3d.datasets.process.pictures.photographs import Found
+from koala3d.datasets.process.poses import database, mapping, pairs, reasons
+from koala3d.datasets.process.poses.database import Picture
+from koala3d.datasets.process.work import Work, state
+from koala3d.datasets.process.world import alignment
+from koala3d.datasets.process.world.alignment import Aligned, Wishes
+from koala3d.datasets.scene import Scene
+from koala3d.datasets.structure.reprojection import errors_px
 
 
 @dataclass(frozen=True)

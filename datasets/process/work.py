@@ -12,8 +12,8 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from datasets.core import files
-from datasets.core.errors import UsageError
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import UsageError
 
 FORMAT, VERSION = "koala-process", 1
 REQUEST = "request.json"

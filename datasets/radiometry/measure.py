@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.core.errors import UsageError
-from datasets.imaging.region import Region
-from datasets.radiometry.mosaic import colour_indices, pattern_of, tiled
-from datasets.radiometry.response import Response
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.imaging.region import Region
+from koala3d.datasets.radiometry.mosaic import colour_indices, pattern_of, tiled
+from koala3d.datasets.radiometry.response import Response
 
 MIDDLE = 0.2
 """Share of width and height of the middle of the picture, where the flat field is 1 and white is balanced."""

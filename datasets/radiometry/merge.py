@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.imaging.images import linear_from_srgb, srgb_from_linear
-from datasets.radiometry.response import Response
+from koala3d.datasets.imaging.images import linear_from_srgb, srgb_from_linear
+from koala3d.datasets.radiometry.response import Response
 
 SATURATED = 0.98
 """Values from here on [share of the largest] are lower bounds and left out."""

@@ -15,10 +15,10 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.core import arrays, files
-from datasets.core.errors import DatasetError, UsageError
-from datasets.imaging.region import Region
-from datasets.radiometry.mosaic import tiled
+from koala3d.datasets.core import arrays, files
+from koala3d.datasets.core.errors import DatasetError, UsageError
+from koala3d.datasets.imaging.region import Region
+from koala3d.datasets.radiometry.mosaic import tiled
 
 FORMAT, VERSION = "koala-radiometry", 1
 GAIN_DB = 0.05  # gains that differ by less are the same [dB]

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.core.errors import DatasetError
-from datasets.imaging import images
+from koala3d.datasets.core.errors import DatasetError
+from koala3d.datasets.imaging import images
 
 RAW_BITS = 12
 RAW_FOLDER = "raw"

@@ -22,8 +22,8 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from numpy.typing import NDArray
 
-from datasets.core import files
-from datasets.imaging import images
+from koala3d.datasets.core import files
+from koala3d.datasets.imaging import images
 
 Picture = NDArray[np.floating] | NDArray[np.uint8] | bytes
 """(height, width, 1 or 3) sRGB in 0..1 or as bytes, or the content of a PNG file."""
@@ -62,7 +62,7 @@ Cell = str | int | Number | None
 
 @cache
 def _environment() -> Environment:
-    loader = PackageLoader("datasets", "reports/templates")
+    loader = PackageLoader("koala3d.datasets", "reports/templates")
     return Environment(loader=loader, autoescape=True, undefined=StrictUndefined, keep_trailing_newline=True)
 
 

@@ -7,16 +7,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.checks.check import check
-from datasets.core import files
-from datasets.core.errors import KoalaError
-from datasets.core.findings import Finding, tally
-from datasets.core.progress import Count, ignore
-from datasets.formats import load_scene
-from datasets.imaging import images
-from datasets.reports.html import Number, ReportPage
-from datasets.scene import Scene, View
-from datasets.structure import bounds
+from koala3d.datasets.checks.check import check
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import KoalaError
+from koala3d.datasets.core.findings import Finding, tally
+from koala3d.datasets.core.progress import Count, ignore
+from koala3d.datasets.formats import load_scene
+from koala3d.datasets.imaging import images
+from koala3d.datasets.reports.html import Number, ReportPage
+from koala3d.datasets.scene import Scene, View
+from koala3d.datasets.structure import bounds
 
 THUMBNAIL = 190  # width of the thumbnails [px]
 COLOURS = {"train": "#2f6fde", "val": "#8e5bbf", "test": "#d0342c"}
@@ -100,7 +100,7 @@ def cameras(scene: Scene) -> str:
     """Cameras and box from above and from the side, as SVG."""
     from matplotlib.patches import Rectangle
 
-    from datasets.reports.drawing import blank, svg_of
+    from koala3d.datasets.reports.drawing import blank, svg_of
 
     figure = blank(9, 4.2)
     matrices = np.stack([view.world_from_camera for view in scene.views])

@@ -5,15 +5,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from datasets.core import console, options
-from datasets.core.options import DataRoot, Json, OutFolder, Port
+from koala3d.datasets.core import console, options
+from koala3d.datasets.core.options import DataRoot, Json, OutFolder, Port
 
 if TYPE_CHECKING:
-    from datasets.formats.links import Extra
-    from datasets.scene import Scene
-    from datasets.segmentation.grow import Grower, Grown
-    from datasets.segmentation.space import Ball
-    from datasets.segmentation.strokes import Stroke
+    from koala3d.datasets.formats.links import Extra
+    from koala3d.datasets.scene import Scene
+    from koala3d.datasets.segmentation.grow import Grower, Grown
+    from koala3d.datasets.segmentation.space import Ball
+    from koala3d.datasets.segmentation.strokes import Stroke
 
 DOUBTFUL = 0.75
 """Agreement of a mask with the other views below which the view is named."""
@@ -57,13 +57,13 @@ def mask(
 
     Cameras should look at the object from all around, and it should differ from what is behind it in colour. Where its shape
     is known, --mesh needs neither."""
-    from datasets.build import extra_truth
-    from datasets.core import files
-    from datasets.core.errors import UsageError
-    from datasets.formats import find, load_scene
-    from datasets.segmentation import strokes as corrections
-    from datasets.segmentation.grow import ROUNDS, Grower
-    from datasets.segmentation.write import write
+    from koala3d.datasets.build import extra_truth
+    from koala3d.datasets.core import files
+    from koala3d.datasets.core.errors import UsageError
+    from koala3d.datasets.formats import find, load_scene
+    from koala3d.datasets.segmentation import strokes as corrections
+    from koala3d.datasets.segmentation.grow import ROUNDS, Grower
+    from koala3d.datasets.segmentation.write import write
 
     files.refuse_existing(out)
     if mesh is not None and (ball is not None or strokes is not None or page):
@@ -96,10 +96,10 @@ def mask(
 
 def _of_known_shape(scene: "Scene", mesh: Path, out: Path, extra: "Extra", as_json: bool) -> None:
     """Write the masks of a mesh; raises UsageError where it cannot be read, or most views do not see it."""
-    from datasets.core.errors import UsageError
-    from datasets.core.meshes import read_mesh
-    from datasets.segmentation.known_shape import silhouettes
-    from datasets.segmentation.write import write
+    from koala3d.datasets.core.errors import UsageError
+    from koala3d.datasets.core.meshes import read_mesh
+    from koala3d.datasets.segmentation.known_shape import silhouettes
+    from koala3d.datasets.segmentation.write import write
 
     vertices, faces = read_mesh(mesh)
     with console.progress("drawing", len(scene.views), "views") as shown:
@@ -119,7 +119,7 @@ def _of_known_shape(scene: "Scene", mesh: Path, out: Path, extra: "Extra", as_js
 
 def _refuse_nothing(found: "Grown", scene: str) -> None:
     """Raise DatasetError where most masks are empty."""
-    from datasets.core.errors import DatasetError
+    from koala3d.datasets.core.errors import DatasetError
 
     if 2 * sum(not mask.any() for mask in found.masks) > len(found.masks):
         what, why = "no object on which the views agree", "most cameras do not look at it, or it has the colours behind it"
@@ -133,8 +133,8 @@ def doubts(grower: "Grower", found: "Grown") -> dict[str, float]:
 
 
 def _serve(grower: "Grower", found: "Grown", drawn: list["Stroke"], out: Path, extra: "Extra", port: int, as_json: bool) -> None:
-    from datasets.page import open_page
-    from datasets.segmentation.page.brush import MaskPage
+    from koala3d.datasets.page import open_page
+    from koala3d.datasets.segmentation.page.brush import MaskPage
 
     with open_page(f"masks of {grower.scene.name}", port) as served:
         MaskPage(served, grower, found, drawn, out, extra)
@@ -146,8 +146,8 @@ def _serve(grower: "Grower", found: "Grown", drawn: list["Stroke"], out: Path, e
 def _ball(given: tuple[float, float, float, float] | None) -> "Ball | None":
     import numpy as np
 
-    from datasets.core.errors import UsageError
-    from datasets.segmentation.space import Ball
+    from koala3d.datasets.core.errors import UsageError
+    from koala3d.datasets.segmentation.space import Ball
 
     if given is None:
         return None

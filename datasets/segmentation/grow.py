@@ -14,13 +14,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.core.errors import DatasetError
-from datasets.core.progress import Step, ignore
-from datasets.imaging import images, reduced
-from datasets.scene import Scene, View
-from datasets.segmentation.cut import Drawn, cut
-from datasets.segmentation.space import Ball, Space
-from datasets.segmentation.strokes import Stroke
+from koala3d.datasets.core.errors import DatasetError
+from koala3d.datasets.core.progress import Step, ignore
+from koala3d.datasets.imaging import images, reduced
+from koala3d.datasets.scene import Scene, View
+from koala3d.datasets.segmentation.cut import Drawn, cut
+from koala3d.datasets.segmentation.space import Ball, Space
+from koala3d.datasets.segmentation.strokes import Stroke
 
 SIDE = 256
 """Longest side of the pictures that are cut [px]."""

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.core.progress import Step, ignore
-from datasets.scene import View
+from koala3d.datasets.core.progress import Step, ignore
+from koala3d.datasets.scene import View
 
 FINER = 4
 """Points per pixel and axis at which the mesh is drawn; a pixel is the object's where half of them are."""

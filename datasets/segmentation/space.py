@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from datasets.camera_model import Camera
-from datasets.scene import Scene, View
-from datasets.structure.bounds import PARALLEL, focus
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.scene import Scene, View
+from koala3d.datasets.structure.bounds import PARALLEL, focus
 
 CELLS = 56
 """Cells along each side of the grid."""

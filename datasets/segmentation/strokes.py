@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from datasets.camera_model import Camera
-from datasets.core import files
-from datasets.core.errors import DatasetError, UsageError, nearest
-from datasets.core.schema import Schema, validate
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import DatasetError, UsageError, nearest
+from koala3d.datasets.core.schema import Schema, validate
 
 KIND, VERSION = "strokes", 1
 

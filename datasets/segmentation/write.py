@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.core.files import refuse_existing
-from datasets.core.progress import Step, ignore
-from datasets.formats import koala
-from datasets.formats.links import Extra
-from datasets.imaging import images
-from datasets.scene import STATED, Scene
-from datasets.segmentation import strokes
-from datasets.segmentation.grow import enlarged
-from datasets.structure import bounds
-from datasets.structure.hull import visual_hull
+from koala3d.datasets.core.files import refuse_existing
+from koala3d.datasets.core.progress import Step, ignore
+from koala3d.datasets.formats import koala
+from koala3d.datasets.formats.links import Extra
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import STATED, Scene
+from koala3d.datasets.segmentation import strokes
+from koala3d.datasets.segmentation.grow import enlarged
+from koala3d.datasets.structure import bounds
+from koala3d.datasets.structure.hull import visual_hull
 
 STROKES = "strokes.json"
 

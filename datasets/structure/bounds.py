@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.scene import View
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.scene import View
 
 Box = NDArray[np.float64]
 

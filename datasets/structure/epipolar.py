@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.structure.matching import Matches
+from koala3d.datasets.structure.matching import Matches
 
 Vector = NDArray[np.float64]
 

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.scene import Scene
-from datasets.structure import bounds, matching
-from datasets.structure.matching import Matches
-from datasets.structure.relative import robust_median, values_of_views
-from datasets.structure.triangulate import explained
+from koala3d.datasets.scene import Scene
+from koala3d.datasets.structure import bounds, matching
+from koala3d.datasets.structure.matching import Matches
+from koala3d.datasets.structure.relative import robust_median, values_of_views
+from koala3d.datasets.structure.triangulate import explained
 
 DARK, CLIPPED = 0.01, 0.9
 """Linear light outside which a channel tells nothing of the exposure: noise and black level, or saturation."""

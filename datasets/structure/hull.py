@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from datasets.imaging import images
-from datasets.scene import View
-from datasets.structure.bounds import Box, depth_range
-from datasets.structure.votes import FEWEST, Silhouette, upheld
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import View
+from koala3d.datasets.structure.bounds import Box, depth_range
+from koala3d.datasets.structure.votes import FEWEST, Silhouette, upheld
 
 GROWTH = (1.0, 1.25, 1.5, 2.0, 2.5)
 """Sizes of the box that the hull is looked for in, until it explains the masks: an object may go on beyond most pictures."""

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from datasets.core.errors import DatasetError
-from datasets.recording import MANIFEST, Recording
-from datasets.scene import LightFrameName, View
-from datasets.turntable import Axis
+from koala3d.datasets.core.errors import DatasetError
+from koala3d.datasets.recording import MANIFEST, Recording
+from koala3d.datasets.scene import LightFrameName, View
+from koala3d.datasets.turntable import Axis
 
 STANDS: dict[str, tuple[LightFrameName, LightFrameName]] = {
     "room": ("world", "turntable"),

@@ -17,9 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.structure.exposure import CLIPPED, DARK
-from datasets.structure.matching import Matches
-from datasets.structure.triangulate import Cloud
+from koala3d.datasets.structure.exposure import CLIPPED, DARK
+from koala3d.datasets.structure.matching import Matches
+from koala3d.datasets.structure.triangulate import Cloud
 
 FRAMES = ("world", "camera", "turntable")
 FOLDS = 5

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import conventions
-from datasets.core.progress import Step, ignore
-from datasets.imaging import images
-from datasets.scene import View
+from koala3d.datasets import conventions
+from koala3d.datasets.core.progress import Step, ignore
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import View
 
 SIDE = 640
 """Longest side of the images in which features are detected [px]; it limits their accuracy."""

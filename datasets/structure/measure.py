@@ -9,12 +9,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.core.progress import Count, Step, ignore
-from datasets.imaging import images
-from datasets.scene import Scene, Sightings, View
-from datasets.structure import bounds, matching
-from datasets.structure.matching import Matches
-from datasets.structure.triangulate import DOUBTFUL, Cloud, agreement, endless_share, triangulate
+from koala3d.datasets.core.progress import Count, Step, ignore
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import Scene, Sightings, View
+from koala3d.datasets.structure import bounds, matching
+from koala3d.datasets.structure.matching import Matches
+from koala3d.datasets.structure.triangulate import DOUBTFUL, Cloud, agreement, endless_share, triangulate
 
 VIEWS = 48
 """Largest number of views that are searched."""

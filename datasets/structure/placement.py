@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from datasets.structure.matching import Matches
-from datasets.structure.triangulate import Cloud, triangulate
+from koala3d.datasets.structure.matching import Matches
+from koala3d.datasets.structure.triangulate import Cloud, triangulate
 
 NOISE_PX = 0.3
 """Median error of features alone, on simulated and on real scenes [px of the image that was searched]."""

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.imaging import images
-from datasets.scene import View
-from datasets.structure.bounds import visible_box
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import View
+from koala3d.datasets.structure.bounds import visible_box
 
 CLEAR_BORDER = 0.2
 """Share of white on the borders up to which white is the object without a further look."""

@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.core.errors import UsageError
-from datasets.scene import Scene
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.scene import Scene
 
 
 def errors_px(scene: Scene) -> NDArray[np.float64]:

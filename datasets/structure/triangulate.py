@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from datasets.scene import View
-from datasets.structure.matching import Matches
+from koala3d.datasets.scene import View
+from koala3d.datasets.structure.matching import Matches
 
 Indices = NDArray[np.int64]
 

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.camera_model import Camera
-from datasets.structure.bounds import half_field
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.structure.bounds import half_field
 
 FEWEST, SHARE = 2, 0.1
 """A place is ruled out by so many of the views that see it, and by this share of them. A share of 0.1 restores the rim of a

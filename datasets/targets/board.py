@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AliasChoices, Field, model_validator
 
-from datasets.core.schema import Schema, load_yaml
+from koala3d.datasets.core.schema import Schema, load_yaml
 
 Kind = Literal["charuco", "chessboard", "tags", "aprilgrid", "circles", "asymmetric_circles"]
 KALIBR = {"dictionary": "DICT_APRILTAG_36h11", "border_bits": 2}

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.targets.board import Board
+from koala3d.datasets.targets.board import Board
 
 Array = NDArray[np.float64]
 

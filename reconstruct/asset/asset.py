@@ -6,15 +6,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
-from datasets import pose
-from reconstruct.asset.bake import Surface
-from reconstruct.asset.light import Light
-from reconstruct.asset.materials import Textures, textures
-from reconstruct.asset.texels import texels_of
-from reconstruct.asset.unwrap import Unwrapped, unwrap
-from reconstruct.output.mesh import extraction
-from reconstruct.output.mesh.files import points_on
-from reconstruct.output.trained_model import TrainedModel
+from koala3d.datasets import pose
+from koala3d.reconstruct.asset.bake import Surface
+from koala3d.reconstruct.asset.light import Light
+from koala3d.reconstruct.asset.materials import Textures, textures
+from koala3d.reconstruct.asset.texels import texels_of
+from koala3d.reconstruct.asset.unwrap import Unwrapped, unwrap
+from koala3d.reconstruct.output.mesh import extraction
+from koala3d.reconstruct.output.mesh.files import points_on
+from koala3d.reconstruct.output.trained_model import TrainedModel
 
 if TYPE_CHECKING:
     import trimesh

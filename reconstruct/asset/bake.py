@@ -6,14 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from datasets.core.console import progress
-from reconstruct.asset import light as light_module
-from reconstruct.asset import sphere, visibility
-from reconstruct.asset.certainty import ENOUGH, Certainty, Sightings
-from reconstruct.asset.light import Light, Unlit
-from reconstruct.asset.material_samples import MaterialSamples, Shader, sample_material
-from reconstruct.asset.reflections import Reflectances, Reflections, joined, reflections
-from reconstruct.output.trained_model import TrainedModel
+from koala3d.datasets.core.console import progress
+from koala3d.reconstruct.asset import light as light_module
+from koala3d.reconstruct.asset import sphere, visibility
+from koala3d.reconstruct.asset.certainty import ENOUGH, Certainty, Sightings
+from koala3d.reconstruct.asset.light import Light, Unlit
+from koala3d.reconstruct.asset.material_samples import MaterialSamples, Shader, sample_material
+from koala3d.reconstruct.asset.reflections import Reflectances, Reflections, joined, reflections
+from koala3d.reconstruct.output.trained_model import TrainedModel
 
 LIGHT_POINTS = 8000  # points of the surface from which the light is found
 DARKEST = 0.1  # share of the surface's mean light below which a diffuse colour cannot be told from an albedo

@@ -5,9 +5,9 @@ from typing import Annotated, Any
 
 from typer import Option, Typer
 
-from datasets.core import console
-from reconstruct.options import RunFolder
-from reconstruct.output.commands import StandsOn
+from koala3d.datasets.core import console
+from koala3d.reconstruct.options import RunFolder
+from koala3d.reconstruct.output.commands import StandsOn
 
 app = Typer()
 Faces = Annotated[int, Option(min=100, help="Target number of triangles.")]
@@ -17,8 +17,8 @@ Closed = Annotated[bool, Option("--closed/--open", help="Close the surface where
 
 def _format(name: str | None) -> str | None:
     """A format of robot simulators, or none."""
-    from datasets.core.errors import UsageError, nearest
-    from reconstruct.asset.robot.saving import WRITERS
+    from koala3d.datasets.core.errors import UsageError, nearest
+    from koala3d.reconstruct.asset.robot.saving import WRITERS
 
     if name is not None and name not in WRITERS:
         raise UsageError(f"there is no robot format '{name}'", where="--robot", remedy=nearest(name, WRITERS))
@@ -48,11 +48,11 @@ def asset(
     as_json: console.Json = False,
 ) -> None:
     """Bake a run into a textured mesh that renderers, viewers, modelling programs and robot simulators show."""
-    from datasets.core.errors import UsageError
-    from datasets.core.files import refuse_existing
-    from reconstruct.asset import asset as assets
-    from reconstruct.asset.writing import environment, saving
-    from reconstruct.output.commands import opened
+    from koala3d.datasets.core.errors import UsageError
+    from koala3d.datasets.core.files import refuse_existing
+    from koala3d.reconstruct.asset import asset as assets
+    from koala3d.reconstruct.asset.writing import environment, saving
+    from koala3d.reconstruct.output.commands import opened
 
     shape: dict[str, Any] = {"faces": faces, "size": texture, "resolution": resolution, "stands_on": stands_on}
     if robot is not None:
@@ -89,11 +89,11 @@ def _write_body(
     as_json: bool,
 ) -> None:
     """Write the folder of a body for robot simulators."""
-    from datasets.core.files import refuse_existing
-    from reconstruct.asset.robot import body as bodies
-    from reconstruct.asset.robot import saving
-    from reconstruct.asset.robot.mass import Weight
-    from reconstruct.output.commands import opened
+    from koala3d.datasets.core.files import refuse_existing
+    from koala3d.reconstruct.asset.robot import body as bodies
+    from koala3d.reconstruct.asset.robot import saving
+    from koala3d.reconstruct.asset.robot.mass import Weight
+    from koala3d.reconstruct.output.commands import opened
 
     wanted = Weight(*weight)
     refuse_existing(out)
@@ -115,11 +115,11 @@ def light(
     as_json: console.Json = False,
 ) -> None:
     """Write the light around the object, as its surface mirrors it, as an equirectangular HDR picture."""
-    from datasets.core.files import refuse_existing
-    from reconstruct.asset import asset as assets
-    from reconstruct.asset.writing import environment
-    from reconstruct.output.commands import opened
-    from reconstruct.output.mesh import extraction
+    from koala3d.datasets.core.files import refuse_existing
+    from koala3d.reconstruct.asset import asset as assets
+    from koala3d.reconstruct.asset.writing import environment
+    from koala3d.reconstruct.output.commands import opened
+    from koala3d.reconstruct.output.mesh import extraction
 
     refuse_existing(environment.check(out))
     trained = opened(run)

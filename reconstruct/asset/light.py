@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from reconstruct.asset import sphere
-from reconstruct.asset.reflections import Reflectances, Reflections
+from koala3d.reconstruct.asset import sphere
+from koala3d.reconstruct.asset.reflections import Reflectances, Reflections
 
 ROUNDS, UPDATES = 6, 8
 """Turns of reflectances and light; updates of the light in each."""

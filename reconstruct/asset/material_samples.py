@@ -11,16 +11,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from reconstruct.field.appearance import Material
-from reconstruct.field.cloud import Cloud
-from reconstruct.field.field import Field
-from reconstruct.field.lit import Lit
-from reconstruct.numerics.compiling import compiled
-from reconstruct.numerics.safe import normalise
-from reconstruct.output.trained_model import TrainedModel
-from reconstruct.rendering.pictures import ahead
-from reconstruct.scene.light import LightFrame
-from reconstruct.scene.space import Space
+from koala3d.reconstruct.field.appearance import Material
+from koala3d.reconstruct.field.cloud import Cloud
+from koala3d.reconstruct.field.field import Field
+from koala3d.reconstruct.field.lit import Lit
+from koala3d.reconstruct.numerics.compiling import compiled
+from koala3d.reconstruct.numerics.safe import normalise
+from koala3d.reconstruct.output.trained_model import TrainedModel
+from koala3d.reconstruct.rendering.pictures import ahead
+from koala3d.reconstruct.scene.light import LightFrame
+from koala3d.reconstruct.scene.space import Space
 
 CHUNK = 1 << 13  # points evaluated by one program
 STEPS = 16  # samples along the way through the surface

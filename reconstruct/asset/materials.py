@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from datasets.imaging import images
-from reconstruct.asset.bake import Baked
-from reconstruct.asset.texels import Texels
+from koala3d.datasets.imaging import images
+from koala3d.reconstruct.asset.bake import Baked
+from koala3d.reconstruct.asset.texels import Texels
 
 DIELECTRIC = 0.04  # reflectance of an index of refraction of 1.5, glTF's for everything that is no metal
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from reconstruct.asset import sphere
-from reconstruct.asset.material_samples import MaterialSamples, Shader
+from koala3d.reconstruct.asset import sphere
+from koala3d.reconstruct.asset.material_samples import MaterialSamples, Shader
 
 FLATTEST = 0.25  # cosine below which a view is too flat to measure a reflectance
 

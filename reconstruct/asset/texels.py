@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int, Num
 
-from reconstruct.asset.unwrap import Unwrapped
+from koala3d.reconstruct.asset.unwrap import Unwrapped
 
 MARGIN = 1e-6  # a texel on an edge, by barycentric coordinates, belongs to a triangle on either side
 

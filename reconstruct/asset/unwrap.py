@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float, Int
 
-from reconstruct.errors import ReconstructError
+from koala3d.reconstruct.errors import ReconstructError
 
 if TYPE_CHECKING:
     import trimesh

@@ -5,8 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Bool, Float
 
-from datasets.scene import View
-from reconstruct.output.mesh.surface_distance import seen_by
+from koala3d.datasets.scene import View
+from koala3d.reconstruct.output.mesh.surface_distance import seen_by
 
 GRAZING = 0.1
 """Cosine between normal and direction below which a point counts as turned away: depth maps cannot tell there."""

@@ -5,10 +5,10 @@ from typing import Annotated
 
 from typer import Argument, Context, Option, Typer
 
-from datasets.core import console
-from reconstruct.bench.asset.command import asset_command
-from reconstruct.bench.gpu.command import gpu_command
-from reconstruct.options import ModelName, Settings
+from koala3d.datasets.core import console
+from koala3d.reconstruct.bench.asset.command import asset_command
+from koala3d.reconstruct.bench.gpu.command import gpu_command
+from koala3d.reconstruct.options import ModelName, Settings
 
 app = Typer(help="Measure run time against error.", rich_markup_mode=None, invoke_without_command=True)
 
@@ -35,9 +35,9 @@ def bench_command(
     """Train frozen scenes under time budgets; write error, speed and memory as CSV and as an HTML report."""
     if context.invoked_subcommand is not None:
         return
-    from datasets.core.errors import UsageError
-    from reconstruct.bench import peers
-    from reconstruct.bench import suite as suites
+    from koala3d.datasets.core.errors import UsageError
+    from koala3d.reconstruct.bench import peers
+    from koala3d.reconstruct.bench import suite as suites
 
     names, kinds, levels = (tuple(values or ()) for values in (scenes, models, presets))
     choice = suites.Choice(names, tuple(scales or ()), kinds, levels, tuple(budgets or ()), tuple(seeds or ()))
@@ -50,7 +50,7 @@ def bench_command(
     if out is None:
         raise UsageError("give the folder of the benchmark: --out DIR")
     known = [] if peer is None else peers.read(peer)
-    from reconstruct.bench import report, runner
+    from koala3d.reconstruct.bench import report, runner
 
     result = runner.run(trials, out, data=data)
     written = report.write(out, known)
@@ -67,10 +67,10 @@ def compare_command(
     as_json: console.Json = False,
 ) -> None:
     """List the differences between two benchmarks that exceed the noise of repeated seeds."""
-    from datasets.core.errors import UsageError
-    from reconstruct.bench import compare
-    from reconstruct.bench.records import Records
-    from reconstruct.bench.runner import RECORDS
+    from koala3d.datasets.core.errors import UsageError
+    from koala3d.reconstruct.bench import compare
+    from koala3d.reconstruct.bench.records import Records
+    from koala3d.reconstruct.bench.runner import RECORDS
 
     sides = []
     for folder in (before, after):
@@ -91,11 +91,11 @@ def machine_command(
     as_json: console.Json = False,
 ) -> None:
     """Measure this machine's limits, and how close each kernel of a training step comes to them."""
-    from datasets.core.errors import UsageError
-    from reconstruct.bench import context
-    from reconstruct.bench.cost import kernels, machine
-    from reconstruct.models import load_config
-    from reconstruct.sampling.create import sampler_type
+    from koala3d.datasets.core.errors import UsageError
+    from koala3d.reconstruct.bench import context
+    from koala3d.reconstruct.bench.cost import kernels, machine
+    from koala3d.reconstruct.models import load_config
+    from koala3d.reconstruct.sampling.create import sampler_type
 
     config = load_config(model, "fast")
     if not sampler_type(config.sampler).rules_out_space:
@@ -121,9 +121,9 @@ def scenes_command(
     as_json: console.Json = False,
 ) -> None:
     """Render scenes whose shape and light are known exactly: five under distant light, five under near lamps."""
-    from datasets.core.errors import UsageError, nearest
-    from reconstruct.backend import cache_compilations
-    from reconstruct.bench.scenes import make, stages
+    from koala3d.datasets.core.errors import UsageError, nearest
+    from koala3d.reconstruct.backend import cache_compilations
+    from koala3d.reconstruct.bench.scenes import make, stages
 
     if layout not in (layouts := ("koala", "blender", "llff")):
         raise UsageError(f"scenes are not written as '{layout}'", where="--format", remedy=nearest(layout, layouts))
@@ -152,12 +152,12 @@ def surfaces_command(
     as_json: console.Json = False,
 ) -> None:
     """Train a rendered scene, and count on the way how many first surfaces are where the surface is, by each rule."""
-    from datasets.core.errors import UsageError, nearest
-    from datasets.formats import load_scene
-    from reconstruct.backend import cache_compilations
-    from reconstruct.bench import first_surfaces
-    from reconstruct.bench.scenes import make, stages
-    from reconstruct.models import load_config
+    from koala3d.datasets.core.errors import UsageError, nearest
+    from koala3d.datasets.formats import load_scene
+    from koala3d.reconstruct.backend import cache_compilations
+    from koala3d.reconstruct.bench import first_surfaces
+    from koala3d.reconstruct.bench.scenes import make, stages
+    from koala3d.reconstruct.models import load_config
 
     if name not in stages.STAGES:
         raise UsageError(f"there is no scene '{name}'", remedy=nearest(name, stages.STAGES))

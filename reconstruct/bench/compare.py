@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from reconstruct.bench.records import Row, latest
-from reconstruct.bench.suite import QUALITY
-from reconstruct.output.metric_names import HIGHER_IS_BETTER
-from reconstruct.studies import seeds
-from reconstruct.studies.seeds import CONFIDENCE, Sample
+from koala3d.reconstruct.bench.records import Row, latest
+from koala3d.reconstruct.bench.suite import QUALITY
+from koala3d.reconstruct.output.metric_names import HIGHER_IS_BETTER
+from koala3d.reconstruct.studies import seeds
+from koala3d.reconstruct.studies.seeds import CONFIDENCE, Sample
 
 NORMALS = ("normal_mae_deg", "normal_mae_alpha_acc_deg", "normal_pred_mae_deg", "normal_pred_mae_alpha_acc_deg")
 COSTS = ("rays_per_s", "seconds", "compilation_s", "peak_memory_mb")

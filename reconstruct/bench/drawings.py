@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from datasets.reports.drawing import GREY, blank, svg_of
-from reconstruct.bench.records import Row
-from reconstruct.output.metric_names import HIGHER_IS_BETTER, column_heading
+from koala3d.datasets.reports.drawing import GREY, blank, svg_of
+from koala3d.reconstruct.bench.records import Row
+from koala3d.reconstruct.output.metric_names import HIGHER_IS_BETTER, column_heading
 
 METRICS = ("psnr", "normal_mae_alpha_acc_deg", "depth_rmse_mm", "chamfer_mm")  # one panel each, if any row has a value
 COLOURS = ("#2f6fde", "#d98324", "#3a9d5d", "#b3479a", "#8a8f2b", "#c74545", "#4aa3b5", "#7a5cc7")

@@ -9,17 +9,17 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.scene import Scene
-from reconstruct.bench.scenes.shiny import RADIUS_M
-from reconstruct.bench.scenes.tracer import Tracer
-from reconstruct.config import Config
-from reconstruct.rendering.model import render
-from reconstruct.sampling.samples import cloud_of
-from reconstruct.scene.rays import Normalisation
-from reconstruct.surface.first_surface import RULES, find_surfaces
-from reconstruct.training.batches import ONE_DEVICE, drawn_batch
-from reconstruct.training.beginning.starting import start
-from reconstruct.training.training import Training
+from koala3d.datasets.scene import Scene
+from koala3d.reconstruct.bench.scenes.shiny import RADIUS_M
+from koala3d.reconstruct.bench.scenes.tracer import Tracer
+from koala3d.reconstruct.config import Config
+from koala3d.reconstruct.rendering.model import render
+from koala3d.reconstruct.sampling.samples import cloud_of
+from koala3d.reconstruct.scene.rays import Normalisation
+from koala3d.reconstruct.surface.first_surface import RULES, find_surfaces
+from koala3d.reconstruct.training.batches import ONE_DEVICE, drawn_batch
+from koala3d.reconstruct.training.beginning.starting import start
+from koala3d.reconstruct.training.training import Training
 
 SHARES = (0.01, 0.02, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0)
 """Of the training, at which is looked."""

@@ -10,8 +10,8 @@ import csv
 import io
 from pathlib import Path
 
-from datasets.core.errors import DatasetError, UsageError, nearest
-from reconstruct.bench.records import Row
+from koala3d.datasets.core.errors import DatasetError, UsageError, nearest
+from koala3d.reconstruct.bench.records import Row
 
 TEXT = ("program", "scene", "note")
 PICTURES = ("psnr", "ssim", "psnr_inside", "ssim_inside")

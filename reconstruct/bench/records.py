@@ -8,10 +8,10 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, NoReturn
 
-from datasets.core.errors import DatasetError
-from reconstruct.bench.suite import Trial
-from reconstruct.output import metrics
-from reconstruct.output.mesh import surface_distance
+from koala3d.datasets.core.errors import DatasetError
+from koala3d.reconstruct.bench.suite import Trial
+from koala3d.reconstruct.output import metrics
+from koala3d.reconstruct.output.mesh import surface_distance
 
 KEY = tuple(field.name for field in fields(Trial))
 METRICS = (*metrics.DEFINITIONS, *surface_distance.DEFINITIONS)

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from datasets.core import files
-from datasets.reports.html import Number, ReportPage
-from reconstruct.bench import drawings, targets
-from reconstruct.bench.records import DEFINITIONS, DONE, Records, Row, latest
-from reconstruct.bench.runner import PROFILES, RECORDS, profiles
-from reconstruct.bench.suite import COST, QUALITY
-from reconstruct.output import metric_names
+from koala3d.datasets.core import files
+from koala3d.datasets.reports.html import Number, ReportPage
+from koala3d.reconstruct.bench import drawings, targets
+from koala3d.reconstruct.bench.records import DEFINITIONS, DONE, Records, Row, latest
+from koala3d.reconstruct.bench.runner import PROFILES, RECORDS, profiles
+from koala3d.reconstruct.bench.suite import COST, QUALITY
+from koala3d.reconstruct.output import metric_names
 
 REPORT = "index.html"
 PICTURES = ("psnr", "ssim", "psnr_inside", "ssim_inside")

@@ -16,13 +16,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from datasets.core import files
-from datasets.core.console import progress
-from datasets.core.errors import KoalaError
-from reconstruct.backend import cache_folder
-from reconstruct.bench import context, suite, trial
-from reconstruct.bench.records import DONE, Records
-from reconstruct.bench.suite import Trial
+from koala3d.datasets.core import files
+from koala3d.datasets.core.console import progress
+from koala3d.datasets.core.errors import KoalaError
+from koala3d.reconstruct.backend import cache_folder
+from koala3d.reconstruct.bench import context, suite, trial
+from koala3d.reconstruct.bench.records import DONE, Records
+from koala3d.reconstruct.bench.suite import Trial
 
 RECORDS, PROFILES, SCENES = "records.csv", "profiles.json", "bench"
 PROFILES_FORMAT, PROFILES_VERSION = "koala-bench-profiles", 1
@@ -78,7 +78,7 @@ def measure(one: Trial, place: Path, out: Path, settings: Sequence[str] = (), **
 def _in_a_process(one: Trial, place: Path, folder: Path, settings: Sequence[str], environment: dict[str, str]) -> dict[str, Any]:
     """The result of a trial's process. Raises KoalaError with the last line of its log if it failed."""
     order = trial.order(one, place.resolve(), folder / "run", settings)
-    found = answer_of("reconstruct.bench.trial", order, folder, one.budget_s + PATIENCE_S, environment, name=one.name)
+    found = answer_of("koala3d.reconstruct.bench.trial", order, folder, one.budget_s + PATIENCE_S, environment, name=one.name)
     shutil.rmtree(folder / "run", ignore_errors=True)
     return found
 

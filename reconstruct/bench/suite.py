@@ -10,12 +10,12 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from datasets.core.errors import UsageError, nearest
-from datasets.formats import find
-from reconstruct.bench.scenes import make
-from reconstruct.bench.scenes.near.scenes import NEAR
-from reconstruct.bench.scenes.shiny import SCENES
-from reconstruct.bench.scenes.stages import BENCHMARK
+from koala3d.datasets.core.errors import UsageError, nearest
+from koala3d.datasets.formats import find
+from koala3d.reconstruct.bench.scenes import make
+from koala3d.reconstruct.bench.scenes.near.scenes import NEAR
+from koala3d.reconstruct.bench.scenes.shiny import SCENES
+from koala3d.reconstruct.bench.scenes.stages import BENCHMARK
 
 QUALITY, COST, PROFILE = "quality", "cost", "profile"
 """Kinds of trials: error after a budget; time and memory for a number of images; profile of a step."""

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from reconstruct.bench.records import Row
-from reconstruct.bench.scenes.shiny import SCENES
-from reconstruct.output.metric_names import HIGHER_IS_BETTER
+from koala3d.reconstruct.bench.records import Row
+from koala3d.reconstruct.bench.scenes.shiny import SCENES
+from koala3d.reconstruct.output.metric_names import HIGHER_IS_BETTER
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""One trial in a process of its own: `python -m reconstruct.bench.trial ORDER.json RESULT.json`.
+"""One trial in a process of its own: `python -m koala3d.reconstruct.bench.trial ORDER.json RESULT.json`.
 
 Its memory can be measured then, and a crash costs one trial only.
 """
@@ -11,10 +11,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from datasets.core import files
-from datasets.formats import load_scene
-from datasets.scene import Scene
-from reconstruct.bench.suite import COST, PROFILE, QUALITY, Trial
+from koala3d.datasets.core import files
+from koala3d.datasets.formats import load_scene
+from koala3d.datasets.scene import Scene
+from koala3d.reconstruct.bench.suite import COST, PROFILE, QUALITY, Trial
 
 KIND, VERSION = "koala-bench-trial", 1
 
@@ -27,7 +27,7 @@ def order(trial: Trial, scene: Path, run: Path, settings: Sequence[str] = ()) ->
 
 def main(arguments: list[str]) -> None:
     """Execute the order in the first file and write the result to the second."""
-    from reconstruct.backend import cache_compilations, cache_folder
+    from koala3d.reconstruct.backend import cache_compilations, cache_folder
 
     content = files.read_json(Path(arguments[0]), kind=KIND, version=VERSION)
     trial, place = Trial(**content["trial"]), Path(content["scene"])
@@ -60,11 +60,11 @@ def trained_work(trial: Trial, scene: Scene, place: Path, out: Path, settings: S
     """Train, and measure the work, by the names of `records.WORK`."""
     import jax
 
-    from reconstruct.models import load_config
-    from reconstruct.rendering.model import Model
-    from reconstruct.run import Run
-    from reconstruct.scene.rays import scaled_camera
-    from reconstruct.training.loop import train
+    from koala3d.reconstruct.models import load_config
+    from koala3d.reconstruct.rendering.model import Model
+    from koala3d.reconstruct.run import Run
+    from koala3d.reconstruct.scene.rays import scaled_camera
+    from koala3d.reconstruct.training.loop import train
 
     config = load_config(trial.model, trial.preset, [f"scale={trial.scale}", f"train.seed={trial.seed}", *settings])
     clock, processor = time.perf_counter(), time.process_time()
@@ -83,8 +83,8 @@ def trained_work(trial: Trial, scene: Scene, place: Path, out: Path, settings: S
 
 def quality(trial: Trial, scene: Scene, place: Path, out: Path, settings: Sequence[str]) -> dict[str, Any]:
     """Train and evaluate on the test views."""
-    from reconstruct.output.evaluate import evaluate
-    from reconstruct.output.trained_model import TrainedModel
+    from koala3d.reconstruct.output.evaluate import evaluate
+    from koala3d.reconstruct.output.trained_model import TrainedModel
 
     found = trained_work(trial, scene, place, out, settings)
     measured = evaluate(TrainedModel.open(out))
@@ -93,7 +93,7 @@ def quality(trial: Trial, scene: Scene, place: Path, out: Path, settings: Sequen
 
 def cost(trial: Trial, scene: Scene, place: Path, out: Path, settings: Sequence[str]) -> dict[str, Any]:
     """Train and render one test view: time and memory only."""
-    from reconstruct.output.trained_model import TrainedModel
+    from koala3d.reconstruct.output.trained_model import TrainedModel
 
     found = trained_work(trial, scene, place, out, settings)
     ready = TrainedModel.open(out)
@@ -106,8 +106,8 @@ def cost(trial: Trial, scene: Scene, place: Path, out: Path, settings: Sequence[
 
 def profile(trial: Trial, scene: Scene, place: Path, out: Path, settings: Sequence[str]) -> dict[str, Any]:
     """Train, then profile further steps."""
-    from reconstruct.bench.cost.profile import step_profile
-    from reconstruct.output.trained_model import TrainedModel
+    from koala3d.reconstruct.bench.cost.profile import step_profile
+    from koala3d.reconstruct.output.trained_model import TrainedModel
 
     found = trained_work(trial, scene, place, out, settings)
     return {**found, "profile": step_profile(TrainedModel.open(out), scene)}

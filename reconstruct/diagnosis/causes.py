@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.core.findings import Finding
-from reconstruct.diagnosis.residuals import Residual
+from koala3d.datasets.core.findings import Finding
+from koala3d.reconstruct.diagnosis.residuals import Residual
 
 OUTSTANDING = 3.5
 """Robust standard deviations of the other views."""

@@ -5,8 +5,8 @@ from typing import Annotated
 
 from typer import Option
 
-from datasets.core import console
-from reconstruct.options import RunFolder
+from koala3d.datasets.core import console
+from koala3d.reconstruct.options import RunFolder
 
 
 def diagnose(
@@ -16,11 +16,11 @@ def diagnose(
     as_json: console.Json = False,
 ) -> None:
     """Name the causes of a bad result: what, where, evidence, remedy."""
-    from datasets.core.files import refuse_existing
-    from reconstruct.backend import cache_compilations
-    from reconstruct.diagnosis.diagnose import diagnose as find
-    from reconstruct.diagnosis.diagnose import write
-    from reconstruct.output.trained_model import TrainedModel
+    from koala3d.datasets.core.files import refuse_existing
+    from koala3d.reconstruct.backend import cache_compilations
+    from koala3d.reconstruct.diagnosis.diagnose import diagnose as find
+    from koala3d.reconstruct.diagnosis.diagnose import write
+    from koala3d.reconstruct.output.trained_model import TrainedModel
 
     if out is not None:
         refuse_existing(out)

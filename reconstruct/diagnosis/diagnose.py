@@ -7,18 +7,18 @@ from typing import Any
 import cv2
 import numpy as np
 
-from datasets.camera_model import Camera
-from datasets.checks.check import check
-from datasets.core import files
-from datasets.core.console import progress
-from datasets.core.findings import Finding
-from datasets.reports.html import Number, ReportPage
-from datasets.scene import View
-from reconstruct import convergence
-from reconstruct.diagnosis import causes
-from reconstruct.diagnosis.residuals import Residual, relit, residual
-from reconstruct.output.trained_model import TrainedModel
-from reconstruct.scene.rays import over, read_scaled
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.checks.check import check
+from koala3d.datasets.core import files
+from koala3d.datasets.core.console import progress
+from koala3d.datasets.core.findings import Finding
+from koala3d.datasets.reports.html import Number, ReportPage
+from koala3d.datasets.scene import View
+from koala3d.reconstruct import convergence
+from koala3d.reconstruct.diagnosis import causes
+from koala3d.reconstruct.diagnosis.residuals import Residual, relit, residual
+from koala3d.reconstruct.output.trained_model import TrainedModel
+from koala3d.reconstruct.scene.rays import over, read_scaled
 
 VIEWS, SIDE = 16, 160
 """Number of views that are rendered, and the longer side of their renderings [px]."""

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.imaging import images
+from koala3d.datasets.imaging import images
 
 Picture = NDArray[np.float32]
 

@@ -15,15 +15,20 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from reconstruct.config import FieldConfig
-from reconstruct.field.encodings.directional import ide_channels, integrated_directional_encoding, view_channels, view_encoding
-from reconstruct.field.lit import Lit
-from reconstruct.field.mlp import Mlp
-from reconstruct.field.moving_lamps import MovingLamps
-from reconstruct.field.near import Near, mirrored
-from reconstruct.field.parallax import Parallax
-from reconstruct.numerics.safe import linear_from_srgb, normalise, srgb_from_linear
-from reconstruct.scene.light import STILL, LightFrame
+from koala3d.reconstruct.config import FieldConfig
+from koala3d.reconstruct.field.encodings.directional import (
+    ide_channels,
+    integrated_directional_encoding,
+    view_channels,
+    view_encoding,
+)
+from koala3d.reconstruct.field.lit import Lit
+from koala3d.reconstruct.field.mlp import Mlp
+from koala3d.reconstruct.field.moving_lamps import MovingLamps
+from koala3d.reconstruct.field.near import Near, mirrored
+from koala3d.reconstruct.field.parallax import Parallax
+from koala3d.reconstruct.numerics.safe import linear_from_srgb, normalise, srgb_from_linear
+from koala3d.reconstruct.scene.light import STILL, LightFrame
 
 RAMP = 0.2
 """Beside the object's box, appearances pass from the object's start to that of its surroundings over so much [scene unit]."""

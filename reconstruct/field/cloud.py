@@ -11,10 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from reconstruct.field.encodings.encoding import Encoding, Scale
-from reconstruct.numerics.compiling import barrier
-from reconstruct.scene.rays import Rays
-from reconstruct.scene.space import Space
+from koala3d.reconstruct.field.encodings.encoding import Encoding, Scale
+from koala3d.reconstruct.numerics.compiling import barrier
+from koala3d.reconstruct.scene.rays import Rays
+from koala3d.reconstruct.scene.space import Space
 
 GAUSSIAN_SCALE = 0.5
 """Zip-NeRF's factor on the width of the Gaussians."""

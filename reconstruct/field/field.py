@@ -9,15 +9,15 @@ import equinox as eqx
 import jax
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from reconstruct.config import EncodingConfig, FieldConfig
-from reconstruct.field.appearance import Appearance, Material, Shading, Start, create_appearance
-from reconstruct.field.cloud import Cloud
-from reconstruct.field.encodings.create import create_encoding
-from reconstruct.field.encodings.encoding import Encoding
-from reconstruct.field.lit import Lit
-from reconstruct.field.mlp import Mlp
-from reconstruct.field.near import Near
-from reconstruct.numerics.safe import normalise, safe_exp
+from koala3d.reconstruct.config import EncodingConfig, FieldConfig
+from koala3d.reconstruct.field.appearance import Appearance, Material, Shading, Start, create_appearance
+from koala3d.reconstruct.field.cloud import Cloud
+from koala3d.reconstruct.field.encodings.create import create_encoding
+from koala3d.reconstruct.field.encodings.encoding import Encoding
+from koala3d.reconstruct.field.lit import Lit
+from koala3d.reconstruct.field.mlp import Mlp
+from koala3d.reconstruct.field.near import Near
+from koala3d.reconstruct.numerics.safe import normalise, safe_exp
 
 
 class Field(eqx.Module):

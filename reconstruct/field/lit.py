@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from reconstruct.numerics.safe import normalise
-from reconstruct.scene.light import LightFrame
-from reconstruct.scene.rays import Rays
+from koala3d.reconstruct.numerics.safe import normalise
+from koala3d.reconstruct.scene.light import LightFrame
+from koala3d.reconstruct.scene.rays import Rays
 
 
 class Lit(eqx.Module):

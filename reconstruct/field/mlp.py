@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from reconstruct.kernels import network
+from koala3d.reconstruct.kernels import network
 
 
 class Mlp(eqx.Module):

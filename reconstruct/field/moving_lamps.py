@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from reconstruct.field.lit import Lit
-from reconstruct.field.mlp import Mlp
-from reconstruct.scene.light import LightFrame
+from koala3d.reconstruct.field.lit import Lit
+from koala3d.reconstruct.field.mlp import Mlp
+from koala3d.reconstruct.scene.light import LightFrame
 
 WIDTH = 32
 """Of the network from a normal to the light that a matte surface receives."""

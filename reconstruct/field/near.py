@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from reconstruct.scene.rays import Rays
+from koala3d.reconstruct.scene.rays import Rays
 
 
 class Near(eqx.Module):

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from reconstruct.config import LightConfig
+from koala3d.reconstruct.config import LightConfig
 
 INSIDE = 0.9
 """Places further out than this share of the radius are taken to be as far out as it: rays from there still end on the sphere."""

@@ -5,7 +5,7 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from reconstruct.kernels import native
+from koala3d.reconstruct.kernels import native
 
 WORTH_IT = 16384
 """Numbers below which starting a kernel takes longer than its work."""

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from reconstruct.kernels import native
+from koala3d.reconstruct.kernels import native
 
 Values = tuple[Float[Array, "_ n"], ...]
 Interval = tuple[Any, ...]

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from reconstruct.kernels import native
+from koala3d.reconstruct.kernels import native
 
 Share = Float[Array, "levels n"] | Float[Array, "levels 1"]
 

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from reconstruct.backend import cache_folder
+from koala3d.reconstruct.backend import cache_folder
 
 SWITCH = "KOALA_KERNELS"
 KERNELS = {
@@ -114,7 +114,7 @@ def imported(names: Sequence[str]) -> dict[str, Any]:
     before = options.CACHE_DIR
     options.CACHE_DIR = str(_folder())  # read while functions are decorated
     try:
-        return {name: importlib.import_module(f"reconstruct.kernels.loops.{name}") for name in names}
+        return {name: importlib.import_module(f"koala3d.reconstruct.kernels.loops.{name}") for name in names}
     finally:
         options.CACHE_DIR = before
 
@@ -139,7 +139,7 @@ def _register(kernels: dict[str, Any]) -> None:
 
 def _mismatch() -> str | None:
     """How XLA's structures differ from those that `frame` describes."""
-    from reconstruct.kernels.loops import frame
+    from koala3d.reconstruct.kernels.loops import frame
 
     (found,) = call("probe", [jax.ShapeDtypeStruct((9,), jnp.int32)], np.zeros((3, 5), np.float32))
     call_frame, arguments, results, buffer, api, major, minor, first, second = np.asarray(found).tolist()

@@ -11,7 +11,7 @@ from typing import Any
 import jax
 from jaxtyping import Array, Float
 
-from reconstruct.kernels import native
+from koala3d.reconstruct.kernels import native
 
 ROWS, LANES = 4, 16
 """Matrices are padded to a multiple of so many rows and columns."""

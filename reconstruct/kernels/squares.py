@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from reconstruct.kernels import native
+from koala3d.reconstruct.kernels import native
 
 CHUNK = 32768
 """Numbers of a chunk: they fit into the second-level cache."""

@@ -17,17 +17,17 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import NDArray
 
-from datasets.scene import View
-from reconstruct.numerics.compiling import compiled
-from reconstruct.output.trained_model import TrainedModel
-from reconstruct.rendering.exposure import exposed, fitted
-from reconstruct.rendering.model import Model, render
-from reconstruct.rendering.pictures import on_device, taken
-from reconstruct.sampling.samples import cloud_of
-from reconstruct.scene.poses import corrected
-from reconstruct.scene.rays import Rays, over, read_scaled
-from reconstruct.scene.space import Space
-from reconstruct.scene.twists import moved
+from koala3d.datasets.scene import View
+from koala3d.reconstruct.numerics.compiling import compiled
+from koala3d.reconstruct.output.trained_model import TrainedModel
+from koala3d.reconstruct.rendering.exposure import exposed, fitted
+from koala3d.reconstruct.rendering.model import Model, render
+from koala3d.reconstruct.rendering.pictures import on_device, taken
+from koala3d.reconstruct.sampling.samples import cloud_of
+from koala3d.reconstruct.scene.poses import corrected
+from koala3d.reconstruct.scene.rays import Rays, over, read_scaled
+from koala3d.reconstruct.scene.space import Space
+from koala3d.reconstruct.scene.twists import moved
 
 PIXELS = 2048  # maximum number of pixels used for the alignment; at most half of the view's
 STEPS = 30  # maximum number of steps, accepted or not

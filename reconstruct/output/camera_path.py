@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.interpolate import CubicSpline
 
-from datasets import pose
-from datasets.core.errors import UsageError
-from datasets.core.schema import Schema, load_yaml
-from datasets.scene import Scene
+from koala3d.datasets import pose
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.core.schema import Schema, load_yaml
+from koala3d.datasets.scene import Scene
 
 Coordinate = Annotated[float, Field(ge=-1e9, le=1e9)]
 Vector = tuple[Coordinate, Coordinate, Coordinate]

@@ -5,19 +5,19 @@ from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option, Typer
 
-from datasets.core import console
-from reconstruct.options import NewFolder, RunFolder
+from koala3d.datasets.core import console
+from koala3d.reconstruct.options import NewFolder, RunFolder
 
 if TYPE_CHECKING:
-    from reconstruct.output.trained_model import TrainedModel
+    from koala3d.reconstruct.output.trained_model import TrainedModel
 
 app = Typer()
 
 
 def _side(name: str | None) -> str | None:
     """A side of the object's box, or none."""
-    from datasets.core.errors import UsageError
-    from reconstruct.output.mesh.isolation import SIDES
+    from koala3d.datasets.core.errors import UsageError
+    from koala3d.reconstruct.output.mesh.isolation import SIDES
 
     if name is not None and name not in SIDES:
         raise UsageError(f"there is no side '{name}' of the box", where="--stands-on", remedy=f"one of {', '.join(SIDES)}")
@@ -41,7 +41,7 @@ def figures(
     as_json: console.Json = False,
 ) -> None:
     """Draw the figures of the paper's supplement from the code and a trained run."""
-    from reconstruct.output.paper_figures import draw_all
+    from koala3d.reconstruct.output.paper_figures import draw_all
 
     result = draw_all(opened(run), out, steps=steps)
     console.report(result, as_json=as_json, text="\n".join(result["figures"]))
@@ -62,11 +62,11 @@ def eval_command(
     as_json: console.Json = False,
 ) -> None:
     """Evaluate a run (writes RUN/metrics.json), or another program's images, on the test views."""
-    from datasets.core.errors import UsageError
-    from datasets.formats import load_scene
-    from reconstruct.output.evaluate import METRICS, evaluate, table
-    from reconstruct.output.external_renderings import measure
-    from reconstruct.output.lpips import Lpips
+    from koala3d.datasets.core.errors import UsageError
+    from koala3d.datasets.formats import load_scene
+    from koala3d.reconstruct.output.evaluate import METRICS, evaluate, table
+    from koala3d.reconstruct.output.external_renderings import measure
+    from koala3d.reconstruct.output.lpips import Lpips
 
     perceptual = None if lpips is None else Lpips.load(lpips)
     if run is not None and renders is None and scene is None and out is None:
@@ -82,8 +82,8 @@ def eval_command(
 @app.command()
 def render(run: RunFolder, out: NewFolder, split: Split = "test", path: CameraPath = None, as_json: console.Json = False) -> None:
     """Render views, or the frames of a camera path: colour, diffuse, specular, normals, depth, opacity, roughness."""
-    from datasets.core.files import refuse_existing
-    from reconstruct.output import camera_path, export
+    from koala3d.datasets.core.files import refuse_existing
+    from koala3d.reconstruct.output import camera_path, export
 
     refuse_existing(out)
     frames = None if path is None else camera_path.from_file(path)[0]
@@ -105,8 +105,8 @@ def film(
     as_json: console.Json = False,
 ) -> None:
     """Render a film (MP4) along a camera path, or along an orbit around the object."""
-    from reconstruct.output import camera_path
-    from reconstruct.output.film import film
+    from koala3d.reconstruct.output import camera_path
+    from koala3d.reconstruct.output.film import film
 
     along = None if path is None else camera_path.from_file(path)
     trained = opened(run)
@@ -133,9 +133,9 @@ def mesh(
     as_json: console.Json = False,
 ) -> None:
     """Extract the object's surface as a coloured mesh or point cloud in world coordinates."""
-    from datasets.core.errors import UsageError
-    from datasets.core.files import refuse_existing
-    from reconstruct.output.mesh import extraction, files
+    from koala3d.datasets.core.errors import UsageError
+    from koala3d.datasets.core.files import refuse_existing
+    from koala3d.reconstruct.output.mesh import extraction, files
 
     suffixes = files.SUFFIXES if points is None else (".ply",)
     if out.suffix.lower() not in suffixes:
@@ -161,8 +161,8 @@ def report(
     as_json: console.Json = False,
 ) -> None:
     """Write an HTML report of a run: metrics, rendered and true images, error over time."""
-    from datasets.core.files import refuse_existing
-    from reconstruct.output.report import write
+    from koala3d.datasets.core.files import refuse_existing
+    from koala3d.reconstruct.output.report import write
 
     refuse_existing(out)
     result = write(opened(run), out, calibration=calibration)
@@ -171,8 +171,8 @@ def report(
 
 def opened(run: Path) -> "TrainedModel":
     """A run's trained model; compiled programs are cached on disk."""
-    from reconstruct.backend import cache_compilations
-    from reconstruct.output.trained_model import TrainedModel
+    from koala3d.reconstruct.backend import cache_compilations
+    from koala3d.reconstruct.output.trained_model import TrainedModel
 
     cache_compilations()
     return TrainedModel.open(run)

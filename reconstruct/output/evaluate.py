@@ -12,23 +12,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.camera_model import Camera
-from datasets.core import files
-from datasets.core.console import progress
-from datasets.core.errors import KoalaError
-from datasets.formats import find
-from datasets.imaging import images
-from datasets.imaging.copies import Copies
-from datasets.scene import View
-from reconstruct.errors import ReconstructError
-from reconstruct.output import metric_names, metrics
-from reconstruct.output.align import Aligner
-from reconstruct.output.lpips import Lpips
-from reconstruct.output.mesh import extraction, reading, surface_distance
-from reconstruct.output.trained_model import TrainedModel
-from reconstruct.rendering.exposure import across_halves, left_half
-from reconstruct.scene import poses
-from reconstruct.scene.rays import over, read_scaled
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core import files
+from koala3d.datasets.core.console import progress
+from koala3d.datasets.core.errors import KoalaError
+from koala3d.datasets.formats import find
+from koala3d.datasets.imaging import images
+from koala3d.datasets.imaging.copies import Copies
+from koala3d.datasets.scene import View
+from koala3d.reconstruct.errors import ReconstructError
+from koala3d.reconstruct.output import metric_names, metrics
+from koala3d.reconstruct.output.align import Aligner
+from koala3d.reconstruct.output.lpips import Lpips
+from koala3d.reconstruct.output.mesh import extraction, reading, surface_distance
+from koala3d.reconstruct.output.trained_model import TrainedModel
+from koala3d.reconstruct.rendering.exposure import across_halves, left_half
+from koala3d.reconstruct.scene import poses
+from koala3d.reconstruct.scene.rays import over, read_scaled
 
 FORMAT, VERSION = "koala-metrics", 1
 METRICS = "metrics.json"

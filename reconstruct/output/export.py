@@ -20,12 +20,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.core import files
-from datasets.core.console import progress
-from datasets.formats.links import file_name
-from datasets.imaging import images
-from reconstruct.output.trained_model import TrainedModel
-from reconstruct.rendering.pictures import Picture, two_at_a_time
+from koala3d.datasets.core import files
+from koala3d.datasets.core.console import progress
+from koala3d.datasets.formats.links import file_name
+from koala3d.datasets.imaging import images
+from koala3d.reconstruct.output.trained_model import TrainedModel
+from koala3d.reconstruct.rendering.pictures import Picture, two_at_a_time
 
 EXR = {"depth", "normals_exr"}  # channels written as EXR, unscaled
 

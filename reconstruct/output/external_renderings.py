@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.core import files
-from datasets.core.console import progress
-from datasets.core.errors import DatasetError, UsageError
-from datasets.formats.links import file_name
-from datasets.imaging import images
-from datasets.scene import Scene, View
-from reconstruct.output.evaluate import compare, read_truth, summary
-from reconstruct.output.lpips import Lpips
+from koala3d.datasets.core import files
+from koala3d.datasets.core.console import progress
+from koala3d.datasets.core.errors import DatasetError, UsageError
+from koala3d.datasets.formats.links import file_name
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import Scene, View
+from koala3d.reconstruct.output.evaluate import compare, read_truth, summary
+from koala3d.reconstruct.output.lpips import Lpips
 
 SINGLE = ("normals_pred", "depth", "opacity", "diffuse", "specular")
 FOLDERS = {"rgb": ("rgb", "."), "normals": ("normals_exr", "normals"), **{name: (name,) for name in SINGLE}}

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.core.console import progress
-from datasets.core.errors import UsageError, nearest
-from datasets.core.files import atomic_path, refuse_existing
-from datasets.imaging import images
-from reconstruct.output.export import EXR, brightness_of_depth, channels
-from reconstruct.output.trained_model import TrainedModel
-from reconstruct.rendering.pictures import Picture, two_at_a_time
+from koala3d.datasets.core.console import progress
+from koala3d.datasets.core.errors import UsageError, nearest
+from koala3d.datasets.core.files import atomic_path, refuse_existing
+from koala3d.datasets.imaging import images
+from koala3d.reconstruct.output.export import EXR, brightness_of_depth, channels
+from koala3d.reconstruct.output.trained_model import TrainedModel
+from koala3d.reconstruct.rendering.pictures import Picture, two_at_a_time
 
 CHANNELS = ("rgb", "diffuse", "specular", "normals", "normals_pred", "depth_view", "opacity", "roughness")
 

@@ -19,8 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from datasets.core import arrays, files
-from datasets.core.errors import UsageError
+from koala3d.datasets.core import arrays, files
+from koala3d.datasets.core.errors import UsageError
 
 Picture = Float[np.ndarray, "height width 3"]
 

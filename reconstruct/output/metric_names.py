@@ -1,7 +1,7 @@
 """Names, units and definitions of all metrics for people; files keep the keys of `metrics` and `surface_distance`."""
 
-from reconstruct.output import metrics
-from reconstruct.output.mesh import surface_distance
+from koala3d.reconstruct.output import metrics
+from koala3d.reconstruct.output.mesh import surface_distance
 
 # Key, name on its own, name as the heading of a column.
 _NAMES = (

@@ -17,24 +17,24 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from datasets import pose
-from datasets.core import files
-from datasets.core.console import progress
-from datasets.imaging import images
-from datasets.scene import View
-from reconstruct.config import SurfaceConfig
-from reconstruct.field.appearance import Material
-from reconstruct.field.cloud import Cloud
-from reconstruct.field.field import Field
-from reconstruct.field.lit import Lit
-from reconstruct.field.near import Near
-from reconstruct.numerics.volume import volume_weights
-from reconstruct.output.trained_model import TrainedModel
-from reconstruct.scene.space import Space
-from reconstruct.surface.ball import ball_samples, shell_radii, sphere_directions
-from reconstruct.surface.first_surface import first_surface
-from reconstruct.surface.regularisers import direction_likeness
-from reconstruct.training.loop import start
+from koala3d.datasets import pose
+from koala3d.datasets.core import files
+from koala3d.datasets.core.console import progress
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import View
+from koala3d.reconstruct.config import SurfaceConfig
+from koala3d.reconstruct.field.appearance import Material
+from koala3d.reconstruct.field.cloud import Cloud
+from koala3d.reconstruct.field.field import Field
+from koala3d.reconstruct.field.lit import Lit
+from koala3d.reconstruct.field.near import Near
+from koala3d.reconstruct.numerics.volume import volume_weights
+from koala3d.reconstruct.output.trained_model import TrainedModel
+from koala3d.reconstruct.scene.space import Space
+from koala3d.reconstruct.surface.ball import ball_samples, shell_radii, sphere_directions
+from koala3d.reconstruct.surface.first_surface import first_surface
+from koala3d.reconstruct.surface.regularisers import direction_likeness
+from koala3d.reconstruct.training.loop import start
 
 STEPS = 600  # steps of the short training for B.1
 STATES = 6  # states of that training that are drawn

@@ -10,20 +10,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.core import files
-from datasets.core.console import progress
-from datasets.imaging import images
-from datasets.reports.html import Number, ReportPage
-from reconstruct.output import metrics
-from reconstruct.output.evaluate import current, read_truth
-from reconstruct.output.export import brightness_of_depth
-from reconstruct.output.metric_names import NAMES, mesh_note, unit
-from reconstruct.output.trained_model import TrainedModel
-from reconstruct.rendering.pictures import Picture
-from reconstruct.run import Run
-from reconstruct.scene import poses
-from reconstruct.training.beginning.series import WEIGHTS
-from reconstruct.training.skipping import record
+from koala3d.datasets.core import files
+from koala3d.datasets.core.console import progress
+from koala3d.datasets.imaging import images
+from koala3d.datasets.reports.html import Number, ReportPage
+from koala3d.reconstruct.output import metrics
+from koala3d.reconstruct.output.evaluate import current, read_truth
+from koala3d.reconstruct.output.export import brightness_of_depth
+from koala3d.reconstruct.output.metric_names import NAMES, mesh_note, unit
+from koala3d.reconstruct.output.trained_model import TrainedModel
+from koala3d.reconstruct.rendering.pictures import Picture
+from koala3d.reconstruct.run import Run
+from koala3d.reconstruct.scene import poses
+from koala3d.reconstruct.training.beginning.series import WEIGHTS
+from koala3d.reconstruct.training.skipping import record
 
 VIEWS = 4
 CALIBRATION_ERRORS = {
@@ -155,8 +155,8 @@ def _mesh_scores(result: dict[str, Any]) -> list[Measurement]:
 
 def _calibration_scores(path: Path | None) -> list[Measurement]:
     """Accuracy of a calibration, and its error if the recording was simulated."""
-    from datasets.calibration import Calibration
-    from datasets.truth import calibration_error, has_truth
+    from koala3d.datasets.calibration import Calibration
+    from koala3d.datasets.truth import calibration_error, has_truth
 
     if path is None:
         return []
@@ -188,7 +188,7 @@ def _headline(run: Run, result: dict[str, Any]) -> tuple[list[tuple[str, Number]
 
 def _curve(run: Run) -> str | None:
     """PSNR over the seconds of training as SVG; None if the log is too short."""
-    from datasets.reports.drawing import COLOURS, blank, svg_of
+    from koala3d.datasets.reports.drawing import COLOURS, blank, svg_of
 
     log = run.log()
     if len(log) < 2:

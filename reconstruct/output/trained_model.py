@@ -5,14 +5,14 @@ from pathlib import Path
 
 import jax
 
-from datasets.camera_model import Camera
-from datasets.scene import Scene, View
-from reconstruct import checkpoint
-from reconstruct.rendering.model import Model
-from reconstruct.rendering.pictures import Picture, Renderer
-from reconstruct.run import CHECKPOINTS, Run
-from reconstruct.scene import poses
-from reconstruct.scene.rays import scaled_camera
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.scene import Scene, View
+from koala3d.reconstruct import checkpoint
+from koala3d.reconstruct.rendering.model import Model
+from koala3d.reconstruct.rendering.pictures import Picture, Renderer
+from koala3d.reconstruct.run import CHECKPOINTS, Run
+from koala3d.reconstruct.scene import poses
+from koala3d.reconstruct.scene.rays import scaled_camera
 
 
 @dataclass(frozen=True)

@@ -7,12 +7,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.imaging import images
-from datasets.scene import View
-from reconstruct.output.export import brightness_of_depth
-from reconstruct.scene.rays import over
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import View
+from koala3d.reconstruct.output.export import brightness_of_depth
+from koala3d.reconstruct.scene.rays import over
 
 Values = dict[str, NDArray[np.float32]]
 

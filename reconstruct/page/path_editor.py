@@ -7,14 +7,14 @@ import numpy as np
 import viser
 import yaml
 
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.core import files
-from datasets.core.errors import KoalaError
-from datasets.core.schema import load_yaml
-from datasets.page import Page, shapes
-from reconstruct.output.camera_path import KeyPose, PathFile, frames_of
-from reconstruct.page.render_loop import viewpoint_of
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import KoalaError
+from koala3d.datasets.core.schema import load_yaml
+from koala3d.datasets.page import Page, shapes
+from koala3d.reconstruct.output.camera_path import KeyPose, PathFile, frames_of
+from koala3d.reconstruct.page.render_loop import viewpoint_of
 
 COLOUR = (230, 120, 20)  # sRGB of the path
 NONE: str = "none"  # the only entry of an empty list of stops

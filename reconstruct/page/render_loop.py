@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import viser
 
-from datasets import pose
-from datasets.page import Page
-from reconstruct.page.compose import Viewpoint
+from koala3d.datasets import pose
+from koala3d.datasets.page import Page
+from koala3d.reconstruct.page.compose import Viewpoint
 
 LEVELS = (2048, 8192, 32768, 131072, 524288)  # rays per picture, from coarse to fine
 Cancelled = Callable[[], bool]

@@ -14,22 +14,22 @@ import numpy as np
 import viser
 from viser import uplot
 
-from datasets.page import Page, PicturePanel, shapes
-from datasets.scene import View
-from datasets.structure import bounds
-from reconstruct import checkpoint
-from reconstruct.errors import ReconstructError
-from reconstruct.output.mesh import reading
-from reconstruct.output.trained_model import TrainedModel
-from reconstruct.page import compose
-from reconstruct.page.compose import Values, Viewpoint
-from reconstruct.page.path_editor import PathEditor
-from reconstruct.page.render_loop import LEVELS, Cancelled, RenderLoop, viewpoint_of
-from reconstruct.page.status import curves, is_training, skips_text, status_text
-from reconstruct.page.wipe import LitAsset, Wipe
-from reconstruct.rendering.pictures import taken
-from reconstruct.run import CHECKPOINTS, Run
-from reconstruct.training.pace.pause import PauseRequests
+from koala3d.datasets.page import Page, PicturePanel, shapes
+from koala3d.datasets.scene import View
+from koala3d.datasets.structure import bounds
+from koala3d.reconstruct import checkpoint
+from koala3d.reconstruct.errors import ReconstructError
+from koala3d.reconstruct.output.mesh import reading
+from koala3d.reconstruct.output.trained_model import TrainedModel
+from koala3d.reconstruct.page import compose
+from koala3d.reconstruct.page.compose import Values, Viewpoint
+from koala3d.reconstruct.page.path_editor import PathEditor
+from koala3d.reconstruct.page.render_loop import LEVELS, Cancelled, RenderLoop, viewpoint_of
+from koala3d.reconstruct.page.status import curves, is_training, skips_text, status_text
+from koala3d.reconstruct.page.wipe import LitAsset, Wipe
+from koala3d.reconstruct.rendering.pictures import taken
+from koala3d.reconstruct.run import CHECKPOINTS, Run
+from koala3d.reconstruct.training.pace.pause import PauseRequests
 
 if TYPE_CHECKING:
     import trimesh
@@ -158,7 +158,7 @@ class RunPage:
 
     def _extract(self) -> None:
         """Extract and show the surface of the current model."""
-        from reconstruct.output.mesh import extraction
+        from koala3d.reconstruct.output.mesh import extraction
 
         if self.trained is None:
             return

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from viser import uplot
 
-from reconstruct import checkpoint
-from reconstruct.run import CHECKPOINTS, LOG, Run
-from reconstruct.training.skipping import record
+from koala3d.reconstruct import checkpoint
+from koala3d.reconstruct.run import CHECKPOINTS, LOG, Run
+from koala3d.reconstruct.training.skipping import record
 
 QUIET_S = 300.0  # a training without output for this long counts as stopped
 

@@ -8,12 +8,12 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from datasets.imaging import images
-from datasets.scene import View
-from reconstruct.asset.stage.reading import StoredAsset, read
-from reconstruct.asset.stage.stage import Stage, over_white, require_mitsuba
-from reconstruct.page import compose
-from reconstruct.page.compose import Viewpoint
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import View
+from koala3d.reconstruct.asset.stage.reading import StoredAsset, read
+from koala3d.reconstruct.asset.stage.stage import Stage, over_white, require_mitsuba
+from koala3d.reconstruct.page import compose
+from koala3d.reconstruct.page.compose import Viewpoint
 
 Picture = NDArray[np.float32]
 

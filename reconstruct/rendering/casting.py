@@ -16,20 +16,20 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from datasets.core.errors import UsageError
-from reconstruct.config import Config
-from reconstruct.field.appearance import Material
-from reconstruct.field.field import Field
-from reconstruct.field.lit import Lit
-from reconstruct.field.near import Near, mirrored
-from reconstruct.numerics.compiling import barrier
-from reconstruct.numerics.safe import normalise
-from reconstruct.rendering.front_to_back import Queue, composited
-from reconstruct.sampling.occupied_steps import OccupiedSteps
-from reconstruct.sampling.sampler import Sampler
-from reconstruct.sampling.samples import Footprint
-from reconstruct.scene.frustum import Frustum
-from reconstruct.scene.rays import Rays
+from koala3d.datasets.core.errors import UsageError
+from koala3d.reconstruct.config import Config
+from koala3d.reconstruct.field.appearance import Material
+from koala3d.reconstruct.field.field import Field
+from koala3d.reconstruct.field.lit import Lit
+from koala3d.reconstruct.field.near import Near, mirrored
+from koala3d.reconstruct.numerics.compiling import barrier
+from koala3d.reconstruct.numerics.safe import normalise
+from koala3d.reconstruct.rendering.front_to_back import Queue, composited
+from koala3d.reconstruct.sampling.occupied_steps import OccupiedSteps
+from koala3d.reconstruct.sampling.sampler import Sampler
+from koala3d.reconstruct.sampling.samples import Footprint
+from koala3d.reconstruct.scene.frustum import Frustum
+from koala3d.reconstruct.scene.rays import Rays
 
 LIFT = 2.5
 """Height above its surface, in cells of the grid, at which a reflected ray begins: before the cells of the surface itself."""

@@ -3,15 +3,15 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from reconstruct.field.appearance import Material
-from reconstruct.field.field import Field
-from reconstruct.field.lit import Lit
-from reconstruct.field.near import Near
-from reconstruct.kernels import compositing
-from reconstruct.numerics.compiling import barrier
-from reconstruct.numerics.volume import volume_weights
-from reconstruct.sampling.samples import RaySamples
-from reconstruct.scene.rays import Rays
+from koala3d.reconstruct.field.appearance import Material
+from koala3d.reconstruct.field.field import Field
+from koala3d.reconstruct.field.lit import Lit
+from koala3d.reconstruct.field.near import Near
+from koala3d.reconstruct.kernels import compositing
+from koala3d.reconstruct.numerics.compiling import barrier
+from koala3d.reconstruct.numerics.volume import volume_weights
+from koala3d.reconstruct.sampling.samples import RaySamples
+from koala3d.reconstruct.scene.rays import Rays
 
 
 def composited(

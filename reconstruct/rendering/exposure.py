@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from datasets.imaging.images import linear_from_srgb, srgb_from_linear
+from koala3d.datasets.imaging.images import linear_from_srgb, srgb_from_linear
 
 FURTHEST = 3.0
 """Largest log gain that is looked for."""

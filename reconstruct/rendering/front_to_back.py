@@ -11,16 +11,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from reconstruct.field.appearance import Material
-from reconstruct.field.cloud import Cloud
-from reconstruct.field.field import Field
-from reconstruct.numerics.compiling import barrier
-from reconstruct.numerics.volume import OPAQUE, volume_weights
-from reconstruct.rendering.compositing import values_of
-from reconstruct.sampling.sampler import Sampled
-from reconstruct.sampling.samples import RaySamples, cloud_of
-from reconstruct.scene.rays import Rays
-from reconstruct.scene.space import Space
+from koala3d.reconstruct.field.appearance import Material
+from koala3d.reconstruct.field.cloud import Cloud
+from koala3d.reconstruct.field.field import Field
+from koala3d.reconstruct.numerics.compiling import barrier
+from koala3d.reconstruct.numerics.volume import OPAQUE, volume_weights
+from koala3d.reconstruct.rendering.compositing import values_of
+from koala3d.reconstruct.sampling.sampler import Sampled
+from koala3d.reconstruct.sampling.samples import RaySamples, cloud_of
+from koala3d.reconstruct.scene.rays import Rays
+from koala3d.reconstruct.scene.space import Space
 
 UNDER_WAY, TOGETHER = (2048, 32768), 4
 """Rays that are under way at once, on a processor and elsewhere, and their samples that are evaluated together."""

@@ -8,22 +8,22 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 from numpy.typing import NDArray
 
-from reconstruct.config import Config
-from reconstruct.field.appearance import Material, Start
-from reconstruct.field.cloud import Cloud
-from reconstruct.field.field import Field
-from reconstruct.field.lit import Lit
-from reconstruct.field.near import Near
-from reconstruct.field.parallax import Parallax
-from reconstruct.numerics.compiling import barrier
-from reconstruct.numerics.safe import linear_from_srgb, srgb_from_linear
-from reconstruct.rendering.casting import Caster, Casting
-from reconstruct.rendering.compositing import composited, values_of
-from reconstruct.sampling.create import create
-from reconstruct.sampling.sampler import Sampler
-from reconstruct.sampling.samples import RaySamples
-from reconstruct.scene.facts import SceneFacts
-from reconstruct.scene.rays import Rays
+from koala3d.reconstruct.config import Config
+from koala3d.reconstruct.field.appearance import Material, Start
+from koala3d.reconstruct.field.cloud import Cloud
+from koala3d.reconstruct.field.field import Field
+from koala3d.reconstruct.field.lit import Lit
+from koala3d.reconstruct.field.near import Near
+from koala3d.reconstruct.field.parallax import Parallax
+from koala3d.reconstruct.numerics.compiling import barrier
+from koala3d.reconstruct.numerics.safe import linear_from_srgb, srgb_from_linear
+from koala3d.reconstruct.rendering.casting import Caster, Casting
+from koala3d.reconstruct.rendering.compositing import composited, values_of
+from koala3d.reconstruct.sampling.create import create
+from koala3d.reconstruct.sampling.sampler import Sampler
+from koala3d.reconstruct.sampling.samples import RaySamples
+from koala3d.reconstruct.scene.facts import SceneFacts
+from koala3d.reconstruct.scene.rays import Rays
 
 HELD = ("blur", "grid", "cast_share")
 """Names of the parts of a model that no gradient goes to: blur and share follow a schedule, a grid what training meets."""

@@ -12,15 +12,15 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from numpy.typing import NDArray
 
-from datasets.camera_model import Camera
-from datasets.imaging.downscale import streamed
-from datasets.scene import View
-from reconstruct.numerics.compiling import jit
-from reconstruct.numerics.safe import normalise
-from reconstruct.rendering.front_to_back import Queue, composited
-from reconstruct.rendering.model import Model, seen
-from reconstruct.scene.light import STILL, LightFrame
-from reconstruct.scene.rays import Normalisation, Rays, view_rays
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.imaging.downscale import streamed
+from koala3d.datasets.scene import View
+from koala3d.reconstruct.numerics.compiling import jit
+from koala3d.reconstruct.numerics.safe import normalise
+from koala3d.reconstruct.rendering.front_to_back import Queue, composited
+from koala3d.reconstruct.rendering.model import Model, seen
+from koala3d.reconstruct.scene.light import STILL, LightFrame
+from koala3d.reconstruct.scene.rays import Normalisation, Rays, view_rays
 
 SIZES = (256, 1024, 4096, 16384, 65536)
 """Rays of one program, the fewest that hold a picture's share."""

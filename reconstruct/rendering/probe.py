@@ -5,16 +5,16 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from datasets.core.console import progress
-from datasets.imaging.copies import Copies
-from datasets.scene import Scene
-from reconstruct.config import Config
-from reconstruct.rendering.exposure import across_halves, exposed, left_half
-from reconstruct.rendering.model import Model
-from reconstruct.rendering.pictures import Renderer
-from reconstruct.scene import poses
-from reconstruct.scene.light import STILL, LightFrame
-from reconstruct.scene.rays import Normalisation, Pixels, pixel_counts, scaled_camera
+from koala3d.datasets.core.console import progress
+from koala3d.datasets.imaging.copies import Copies
+from koala3d.datasets.scene import Scene
+from koala3d.reconstruct.config import Config
+from koala3d.reconstruct.rendering.exposure import across_halves, exposed, left_half
+from koala3d.reconstruct.rendering.model import Model
+from koala3d.reconstruct.rendering.pictures import Renderer
+from koala3d.reconstruct.scene import poses
+from koala3d.reconstruct.scene.light import STILL, LightFrame
+from koala3d.reconstruct.scene.rays import Normalisation, Pixels, pixel_counts, scaled_camera
 
 PIXELS, VIEWS = 4096, 4
 """Pixels of test views that each line of the log measures, not part of the training's time; views that they are from."""

@@ -5,13 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from reconstruct.kernels import native
-from reconstruct.sampling.occupancy import Occupancy
-from reconstruct.sampling.samples import RaySamples
-from reconstruct.sampling.steps import Steps
-from reconstruct.scene.frustum import Frustum
-from reconstruct.scene.rays import Rays
-from reconstruct.scene.space import Ball, Box, Space
+from koala3d.reconstruct.kernels import native
+from koala3d.reconstruct.sampling.occupancy import Occupancy
+from koala3d.reconstruct.sampling.samples import RaySamples
+from koala3d.reconstruct.sampling.steps import Steps
+from koala3d.reconstruct.scene.frustum import Frustum
+from koala3d.reconstruct.scene.rays import Rays
+from koala3d.reconstruct.scene.space import Ball, Box, Space
 
 MAPS: dict[type[Space], int] = {Box: 0, Ball: 1, Frustum: 2}
 """As `reconstruct.kernels.loops.march` numbers them."""

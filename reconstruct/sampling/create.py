@@ -5,11 +5,11 @@ from typing import Any
 from jaxtyping import PRNGKeyArray
 from numpy.typing import NDArray
 
-from reconstruct.config import Config, SamplerConfig
-from reconstruct.sampling.occupied_steps import OccupiedSteps
-from reconstruct.sampling.proposed_intervals import ProposedIntervals
-from reconstruct.sampling.sampler import Sampler
-from reconstruct.scene.facts import SceneFacts
+from koala3d.reconstruct.config import Config, SamplerConfig
+from koala3d.reconstruct.sampling.occupied_steps import OccupiedSteps
+from koala3d.reconstruct.sampling.proposed_intervals import ProposedIntervals
+from koala3d.reconstruct.sampling.sampler import Sampler
+from koala3d.reconstruct.scene.facts import SceneFacts
 
 SAMPLERS: dict[str, type[Sampler]] = {"occupancy": OccupiedSteps, "proposal": ProposedIntervals}
 

@@ -10,9 +10,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from reconstruct.sampling.occupancy import Occupancy
-from reconstruct.sampling.steps import box_interval
-from reconstruct.scene.rays import Rays
+from koala3d.reconstruct.sampling.occupancy import Occupancy
+from koala3d.reconstruct.sampling.steps import box_interval
+from koala3d.reconstruct.scene.rays import Rays
 
 PLACES = 16
 """Places along a ray's way through the box at which the grid is looked up."""

@@ -6,10 +6,10 @@ What is ruled out here is never looked at again.
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.scene import View
-from datasets.structure.votes import Silhouette, not_hopeless, upheld
-from reconstruct.sampling.occupancy import cell_centres
-from reconstruct.scene.rays import Normalisation, Pixels, scaled_camera
+from koala3d.datasets.scene import View
+from koala3d.datasets.structure.votes import Silhouette, not_hopeless, upheld
+from koala3d.reconstruct.sampling.occupancy import cell_centres
+from koala3d.reconstruct.scene.rays import Normalisation, Pixels, scaled_camera
 
 BLOCK = 4
 """Cells per side of the blocks in which space is ruled out first."""

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Float16, Int, PRNGKeyArray
 
-from reconstruct.scene.frustum import Frustum
-from reconstruct.scene.space import Space
+from koala3d.reconstruct.scene.frustum import Frustum
+from koala3d.reconstruct.scene.space import Space
 
 UNKNOWN = 0.02
 """Optical depth of a step through a cell in which the field was not evaluated yet."""

@@ -9,23 +9,23 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from numpy.typing import NDArray
 
-from datasets.scene import View
-from reconstruct.config import Config
-from reconstruct.field.cloud import Cloud
-from reconstruct.field.field import Field
-from reconstruct.numerics.compiling import barrier
-from reconstruct.sampling import compiled as kernels
-from reconstruct.sampling import focus
-from reconstruct.sampling.hull import cells_in_masks, cells_in_sight
-from reconstruct.sampling.occupancy import Occupancy
-from reconstruct.sampling.packing import draw, draw_probability, expected_depth, packed_samples
-from reconstruct.sampling.sampler import Batch, Sampled, Sampler
-from reconstruct.sampling.samples import Footprint, RaySamples, cloud_of
-from reconstruct.sampling.steps import Steps
-from reconstruct.scene.facts import SceneFacts
-from reconstruct.scene.frustum import Frustum
-from reconstruct.scene.rays import Normalisation, Pixels, Rays
-from reconstruct.scene.space import BOX, Space
+from koala3d.datasets.scene import View
+from koala3d.reconstruct.config import Config
+from koala3d.reconstruct.field.cloud import Cloud
+from koala3d.reconstruct.field.field import Field
+from koala3d.reconstruct.numerics.compiling import barrier
+from koala3d.reconstruct.sampling import compiled as kernels
+from koala3d.reconstruct.sampling import focus
+from koala3d.reconstruct.sampling.hull import cells_in_masks, cells_in_sight
+from koala3d.reconstruct.sampling.occupancy import Occupancy
+from koala3d.reconstruct.sampling.packing import draw, draw_probability, expected_depth, packed_samples
+from koala3d.reconstruct.sampling.sampler import Batch, Sampled, Sampler
+from koala3d.reconstruct.sampling.samples import Footprint, RaySamples, cloud_of
+from koala3d.reconstruct.sampling.steps import Steps
+from koala3d.reconstruct.scene.facts import SceneFacts
+from koala3d.reconstruct.scene.frustum import Frustum
+from koala3d.reconstruct.scene.rays import Normalisation, Pixels, Rays
+from koala3d.reconstruct.scene.space import BOX, Space
 
 UPKEEP_PERIOD, UPKEEP_CELLS = 16, 65536
 """Every so many steps the field is evaluated in so many cells of the grid."""

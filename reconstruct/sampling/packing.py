@@ -10,13 +10,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
-from reconstruct.numerics.compiling import barrier
-from reconstruct.numerics.volume import sum_before
-from reconstruct.sampling.occupancy import Occupancy
-from reconstruct.sampling.samples import RaySamples
-from reconstruct.sampling.steps import Steps
-from reconstruct.scene.rays import Rays
-from reconstruct.scene.space import Space
+from koala3d.reconstruct.numerics.compiling import barrier
+from koala3d.reconstruct.numerics.volume import sum_before
+from koala3d.reconstruct.sampling.occupancy import Occupancy
+from koala3d.reconstruct.sampling.samples import RaySamples
+from koala3d.reconstruct.sampling.steps import Steps
+from koala3d.reconstruct.scene.rays import Rays
+from koala3d.reconstruct.scene.space import Space
 
 BLOCK = 32
 """Steps whose probabilities are summed by one product; the number of steps is a multiple of it."""

@@ -8,15 +8,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from reconstruct.config import EncodingConfig
-from reconstruct.field.cloud import Cloud
-from reconstruct.field.encodings.create import create_encoding
-from reconstruct.field.encodings.encoding import Encoding
-from reconstruct.field.mlp import Mlp
-from reconstruct.numerics.safe import safe_exp
-from reconstruct.numerics.stepfun import inverse_power_ladder, power_ladder, sample_intervals
-from reconstruct.numerics.volume import volume_weights
-from reconstruct.scene.rays import Normalisation, Rays
+from koala3d.reconstruct.config import EncodingConfig
+from koala3d.reconstruct.field.cloud import Cloud
+from koala3d.reconstruct.field.encodings.create import create_encoding
+from koala3d.reconstruct.field.encodings.encoding import Encoding
+from koala3d.reconstruct.field.mlp import Mlp
+from koala3d.reconstruct.numerics.safe import safe_exp
+from koala3d.reconstruct.numerics.stepfun import inverse_power_ladder, power_ladder, sample_intervals
+from koala3d.reconstruct.numerics.volume import volume_weights
+from koala3d.reconstruct.scene.rays import Normalisation, Rays
 
 Level = tuple[Float[Array, "rays _"], Float[Array, "rays _"]]
 """Normalised edges and weights of a proposal level."""

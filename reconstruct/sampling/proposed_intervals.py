@@ -7,16 +7,16 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from datasets.scene import View
-from reconstruct.config import Config, SamplerConfig
-from reconstruct.field.encodings.encoding import Encoding
-from reconstruct.numerics.compiling import barrier
-from reconstruct.sampling.proposals import Proposal, Spacing, propose
-from reconstruct.sampling.sampler import Batch, Sampled, Sampler
-from reconstruct.sampling.samples import Footprint, RaySamples, cloud_of
-from reconstruct.scene.facts import SceneFacts
-from reconstruct.scene.rays import Normalisation, Pixels, Rays
-from reconstruct.scene.space import Space
+from koala3d.datasets.scene import View
+from koala3d.reconstruct.config import Config, SamplerConfig
+from koala3d.reconstruct.field.encodings.encoding import Encoding
+from koala3d.reconstruct.numerics.compiling import barrier
+from koala3d.reconstruct.sampling.proposals import Proposal, Spacing, propose
+from koala3d.reconstruct.sampling.sampler import Batch, Sampled, Sampler
+from koala3d.reconstruct.sampling.samples import Footprint, RaySamples, cloud_of
+from koala3d.reconstruct.scene.facts import SceneFacts
+from koala3d.reconstruct.scene.rays import Normalisation, Pixels, Rays
+from koala3d.reconstruct.scene.space import Space
 
 
 class ProposedIntervals(Sampler):

@@ -7,15 +7,15 @@ import equinox as eqx
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from numpy.typing import NDArray
 
-from datasets.scene import View
-from reconstruct.config import Config, SamplerConfig
-from reconstruct.field.encodings.encoding import Encoding
-from reconstruct.field.field import Field
-from reconstruct.sampling.proposals import Level
-from reconstruct.sampling.samples import Footprint, RaySamples
-from reconstruct.scene.facts import SceneFacts
-from reconstruct.scene.rays import Normalisation, Pixels, Rays
-from reconstruct.scene.space import Space
+from koala3d.datasets.scene import View
+from koala3d.reconstruct.config import Config, SamplerConfig
+from koala3d.reconstruct.field.encodings.encoding import Encoding
+from koala3d.reconstruct.field.field import Field
+from koala3d.reconstruct.sampling.proposals import Level
+from koala3d.reconstruct.sampling.samples import Footprint, RaySamples
+from koala3d.reconstruct.scene.facts import SceneFacts
+from koala3d.reconstruct.scene.rays import Normalisation, Pixels, Rays
+from koala3d.reconstruct.scene.space import Space
 
 
 class Batch(eqx.Module):

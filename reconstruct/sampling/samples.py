@@ -4,9 +4,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from reconstruct.field.cloud import Cloud, gaussians_in_frustums, hexagons_in_frustums, points_on_rays
-from reconstruct.scene.rays import Rays
-from reconstruct.scene.space import Space
+from koala3d.reconstruct.field.cloud import Cloud, gaussians_in_frustums, hexagons_in_frustums, points_on_rays
+from koala3d.reconstruct.scene.rays import Rays
+from koala3d.reconstruct.scene.space import Space
 
 
 class RaySamples(eqx.Module):

@@ -4,9 +4,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from reconstruct.scene.frustum import Frustum
-from reconstruct.scene.rays import Rays
-from reconstruct.scene.space import Space
+from koala3d.reconstruct.scene.frustum import Frustum
+from koala3d.reconstruct.scene.rays import Rays
+from koala3d.reconstruct.scene.space import Space
 
 FRONT, BEHIND = 32, 64
 """Steps between the near plane and the object's ball, and from there to the far plane, where there are surroundings."""

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from reconstruct.numerics.safe import normalise, safe_norm
+from koala3d.reconstruct.numerics.safe import normalise, safe_norm
 
 
 def contract(points: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.scene import Scene, View
-from reconstruct.scene.frustum import Frustum
-from reconstruct.scene.light import STILL, LightFrame
-from reconstruct.scene.rays import Normalisation, direction_of_cameras
+from koala3d.datasets.scene import Scene, View
+from koala3d.reconstruct.scene.frustum import Frustum
+from koala3d.reconstruct.scene.light import STILL, LightFrame
+from koala3d.reconstruct.scene.rays import Normalisation, direction_of_cameras
 
 Vector = tuple[float, float, float]
 

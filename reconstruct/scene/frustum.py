@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.scene import View
-from datasets.structure.bounds import half_field
-from reconstruct.scene import contraction
-from reconstruct.scene.space import Coordinate, Points, Space
+from koala3d.datasets.scene import View
+from koala3d.datasets.structure.bounds import half_field
+from koala3d.reconstruct.scene import contraction
+from koala3d.reconstruct.scene.space import Coordinate, Points, Space
 
 Vector = tuple[float, float, float]
 

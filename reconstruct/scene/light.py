@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from datasets.scene import View
+from koala3d.datasets.scene import View
 
 Frame = Literal["world", "turntable", "camera"]
 

@@ -14,10 +14,10 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from datasets.core.budgets import budget
-from datasets.imaging.copies import Copies
-from datasets.scene import View
-from reconstruct.scene.rays import Normalisation, Pixels, pixel_counts, view_pixels
+from koala3d.datasets.core.budgets import budget
+from koala3d.datasets.imaging.copies import Copies
+from koala3d.datasets.scene import View
+from koala3d.reconstruct.scene.rays import Normalisation, Pixels, pixel_counts, view_pixels
 
 MOST, MOST_PIXELS = "KOALA_TRAINING_PIXELS", 2**25
 """Pixels that are held in memory, of 24 bytes each; the environment variable replaces the number."""

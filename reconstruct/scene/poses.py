@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import expm
 
-from datasets import pose
-from datasets.core import files
-from datasets.core.errors import DatasetError
-from datasets.scene import Scene, View
-from reconstruct.config import PoseConfig
-from reconstruct.scene.rays import Normalisation, Pixels, pixels_over_white
-from reconstruct.scene.twists import Twists, moved
+from koala3d.datasets import pose
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import DatasetError
+from koala3d.datasets.scene import Scene, View
+from koala3d.reconstruct.config import PoseConfig
+from koala3d.reconstruct.scene.rays import Normalisation, Pixels, pixels_over_white
+from koala3d.reconstruct.scene.twists import Twists, moved
 
 FORMAT, VERSION = "koala-poses", 1
 POSES = "poses.json"

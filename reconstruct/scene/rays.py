@@ -10,16 +10,16 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 from numpy.typing import NDArray
 
-from datasets.camera_model import Camera
-from datasets.imaging import images
-from datasets.imaging.copies import Copies
-from datasets.imaging.downscale import streamed
-from datasets.imaging.reduced import READERS
-from datasets.scene import Scene, View
-from reconstruct.numerics.safe import safe_norm
-from reconstruct.scene.frustum import Frustum
-from reconstruct.scene.light import LightFrame
-from reconstruct.scene.space import BALL, BOX, Space
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.imaging import images
+from koala3d.datasets.imaging.copies import Copies
+from koala3d.datasets.imaging.downscale import streamed
+from koala3d.datasets.imaging.reduced import READERS
+from koala3d.datasets.scene import Scene, View
+from koala3d.reconstruct.numerics.safe import safe_norm
+from koala3d.reconstruct.scene.frustum import Frustum
+from koala3d.reconstruct.scene.light import LightFrame
+from koala3d.reconstruct.scene.space import BALL, BOX, Space
 
 BRIGHTEST = 6e4
 """Brighter colours are kept as this, which float16 can still hold."""

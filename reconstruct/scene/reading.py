@@ -1,10 +1,10 @@
 """What a training reads of its scene's pictures before it starts."""
 
-from datasets.core.console import progress
-from datasets.imaging.copies import Copies
-from datasets.scene import View
-from reconstruct.scene.pool import Pool
-from reconstruct.scene.rays import Normalisation, Pixels
+from koala3d.datasets.core.console import progress
+from koala3d.datasets.imaging.copies import Copies
+from koala3d.datasets.scene import View
+from koala3d.reconstruct.scene.pool import Pool
+from koala3d.reconstruct.scene.rays import Normalisation, Pixels
 
 HELD = 4096
 """Pixels of training views that are held out, at most."""

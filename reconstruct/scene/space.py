@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from reconstruct.scene import contraction
+from koala3d.reconstruct.scene import contraction
 
 Points = Float[Array, "*batch 3"]
 Coordinate = Float[Array, "*batch"]

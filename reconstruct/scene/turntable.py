@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from reconstruct.scene.light import LightFrame
+from koala3d.reconstruct.scene.light import LightFrame
 
 PAIRS = 2000
 """Pairs of views that are compared, at most."""

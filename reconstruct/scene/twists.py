@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from reconstruct.scene.rays import Rays
+from koala3d.reconstruct.scene.rays import Rays
 
 Twists = Float[Array, "*n 6"]
 

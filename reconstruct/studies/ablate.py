@@ -16,18 +16,18 @@ from typing import Any
 
 import numpy as np
 
-from datasets.core import files
-from datasets.core.errors import UsageError, nearest
-from datasets.formats import find
-from datasets.reports.drawing import svg_of
-from datasets.reports.html import Number, ReportPage
-from reconstruct.config import Config, LossConfig, SurfaceConfig
-from reconstruct.output import metric_names
-from reconstruct.output.evaluate import METRICS
-from reconstruct.studies import results_table
-from reconstruct.studies.jobs import BASE, CELLS, Job, Recipe, chosen_seeds, open_study, run_all
-from reconstruct.studies.results import Row, row_of_seeds
-from reconstruct.studies.seeds import seed_folder, welch
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import UsageError, nearest
+from koala3d.datasets.formats import find
+from koala3d.datasets.reports.drawing import svg_of
+from koala3d.datasets.reports.html import Number, ReportPage
+from koala3d.reconstruct.config import Config, LossConfig, SurfaceConfig
+from koala3d.reconstruct.output import metric_names
+from koala3d.reconstruct.output.evaluate import METRICS
+from koala3d.reconstruct.studies import results_table
+from koala3d.reconstruct.studies.jobs import BASE, CELLS, Job, Recipe, chosen_seeds, open_study, run_all
+from koala3d.reconstruct.studies.results import Row, row_of_seeds
+from koala3d.reconstruct.studies.seeds import seed_folder, welch
 
 FORMAT, VERSION = "koala-study", 2
 STUDY = "study.json"

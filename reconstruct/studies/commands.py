@@ -5,8 +5,8 @@ from typing import Annotated, Any
 
 from typer import Argument, Option, Typer
 
-from datasets.core import console
-from reconstruct.options import Budget, ModelName, Preset, SceneName, SceneNames, Seeds, Settings, StudyFolder
+from koala3d.datasets.core import console
+from koala3d.reconstruct.options import Budget, ModelName, Preset, SceneName, SceneNames, Seeds, Settings, StudyFolder
 
 app = Typer()
 
@@ -20,7 +20,7 @@ def table(
     as_json: console.Json = False,
 ) -> None:
     """Compare the metrics of runs in the paper's layout. Runs that differ only in their seed share a row."""
-    from reconstruct.studies import results, results_table
+    from koala3d.reconstruct.studies import results, results_table
 
     rows = results.rows_of_runs(runs, per_image=per_image)
     chosen = results_table.chosen_columns(rows, columns or ())
@@ -45,8 +45,8 @@ def ablate(
     as_json: console.Json = False,
 ) -> None:
     """Train a model repeatedly with one change at a time; write a table and a figure."""
-    from reconstruct.backend import cache_compilations
-    from reconstruct.studies import ablate
+    from koala3d.reconstruct.backend import cache_compilations
+    from koala3d.reconstruct.studies import ablate
 
     study = ablate.plan(scene, model, preset, set_ or (), budget, cells or (), seeds or ())
     if plan_only:
@@ -67,8 +67,8 @@ def skips(
     as_json: console.Json = False,
 ) -> None:
     """Measure the error and the time saved by each skip, training with and without it."""
-    from reconstruct.backend import cache_compilations
-    from reconstruct.studies import skips
+    from koala3d.reconstruct.backend import cache_compilations
+    from koala3d.reconstruct.studies import skips
 
     cache_compilations()
     results = skips.run(scenes, out, names=names or (), model=model, preset=preset, overrides=set_ or ())
@@ -89,7 +89,7 @@ def sweep(
     as_json: console.Json = False,
 ) -> None:
     """Train and evaluate every model on every scene; write a table."""
-    from reconstruct.studies import sweep
+    from koala3d.reconstruct.studies import sweep
 
     jobs = sweep.plan(scenes, models, preset, set_ or (), budget, out, seeds or ())
     _report_table(sweep.run(jobs, out, use_ray=ray or address is not None, ray_address=address), out, as_json)

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from reconstruct.studies.jobs import Job
+from koala3d.reconstruct.studies.jobs import Job
 
 STREAMS = (1, 2)
 """File descriptors of the standard output and of errors."""

@@ -6,17 +6,17 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from datasets.core import files
-from datasets.core.console import hint, progress
-from datasets.core.errors import KoalaError, UsageError
-from datasets.formats import find, load_scene
-from reconstruct import checkpoint
-from reconstruct.config import Config
-from reconstruct.models import load_config
-from reconstruct.output.evaluate import METRICS, evaluate
-from reconstruct.output.trained_model import TrainedModel
-from reconstruct.run import CHECKPOINTS, RUN
-from reconstruct.training.loop import train
+from koala3d.datasets.core import files
+from koala3d.datasets.core.console import hint, progress
+from koala3d.datasets.core.errors import KoalaError, UsageError
+from koala3d.datasets.formats import find, load_scene
+from koala3d.reconstruct import checkpoint
+from koala3d.reconstruct.config import Config
+from koala3d.reconstruct.models import load_config
+from koala3d.reconstruct.output.evaluate import METRICS, evaluate
+from koala3d.reconstruct.output.trained_model import TrainedModel
+from koala3d.reconstruct.run import CHECKPOINTS, RUN
+from koala3d.reconstruct.training.loop import train
 
 CELLS = "cells"  # folder of the trainings of a study with named cells
 BASE = "base"  # cell without changes

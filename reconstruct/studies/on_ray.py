@@ -16,13 +16,13 @@ from contextlib import contextmanager, redirect_stdout
 import ray
 from ray.exceptions import NodeDiedError, OutOfMemoryError, RayError, WorkerCrashedError
 
-from datasets.core.console import hint
-from datasets.core.errors import UsageError
-from datasets.core.files import make_folder
-from reconstruct.backend import cache_compilations
-from reconstruct.output.evaluate import METRICS
-from reconstruct.studies.job_log import last_line, log_of, output_in
-from reconstruct.studies.jobs import Job
+from koala3d.datasets.core.console import hint
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.core.files import make_folder
+from koala3d.reconstruct.backend import cache_compilations
+from koala3d.reconstruct.output.evaluate import METRICS
+from koala3d.reconstruct.studies.job_log import last_line, log_of, output_in
+from koala3d.reconstruct.studies.jobs import Job
 
 MOST_LOSSES = 3
 """A job that has lost so many workers is given up: the fault is probably its own."""

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from datasets.core import files
-from datasets.core.errors import DatasetError, UsageError
-from reconstruct.output.evaluate import FORMAT, METRICS, VERSION
-from reconstruct.run import Run
-from reconstruct.studies.seeds import Sample, seed_folder
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import DatasetError, UsageError
+from koala3d.reconstruct.output.evaluate import FORMAT, METRICS, VERSION
+from koala3d.reconstruct.run import Run
+from koala3d.reconstruct.studies.seeds import Sample, seed_folder
 
 
 @dataclass(frozen=True)

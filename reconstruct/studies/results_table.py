@@ -8,11 +8,11 @@ import io
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from datasets.core import files
-from datasets.core.errors import UsageError, nearest
-from reconstruct.output.mesh import surface_distance
-from reconstruct.output.metric_names import HIGHER_IS_BETTER, SHORT_NAMES, column_heading, definition, mesh_note
-from reconstruct.studies.results import Row
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import UsageError, nearest
+from koala3d.reconstruct.output.mesh import surface_distance
+from koala3d.reconstruct.output.metric_names import HIGHER_IS_BETTER, SHORT_NAMES, column_heading, definition, mesh_note
+from koala3d.reconstruct.studies.results import Row
 
 COLUMNS = ("psnr", "ssim", "psnr_inside", "ssim_inside", "lpips", "normal_mae_alpha_acc_deg", "normal_mae_deg", "disparity_rmse")
 """Default columns: the paper's, with the normal error in both of its definitions, and pictures also inside the mask."""

@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from datasets.core import files
-from datasets.core.errors import UsageError, nearest
-from reconstruct.models import load_config
-from reconstruct.output.evaluate import METRICS
-from reconstruct.run import Run
-from reconstruct.studies.jobs import BASE, CELLS, Job, Recipe, open_study, run_all, scenes_by_name
-from reconstruct.training.skipping import record
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import UsageError, nearest
+from koala3d.reconstruct.models import load_config
+from koala3d.reconstruct.output.evaluate import METRICS
+from koala3d.reconstruct.run import Run
+from koala3d.reconstruct.studies.jobs import BASE, CELLS, Job, Recipe, open_study, run_all, scenes_by_name
+from koala3d.reconstruct.training.skipping import record
 
 FORMAT, VERSION = "koala-skips", 1
 COMPARISON = "comparison.json"

@@ -13,14 +13,14 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from datasets.core.console import hint, progress
-from reconstruct.backend import cache_compilations
-from reconstruct.errors import ReconstructError
-from reconstruct.output.evaluate import METRICS
-from reconstruct.studies import results_table
-from reconstruct.studies.jobs import Job, Recipe, chosen_seeds, open_study, scenes_by_name
-from reconstruct.studies.results import rows_of_runs
-from reconstruct.studies.seeds import seed_folder
+from koala3d.datasets.core.console import hint, progress
+from koala3d.reconstruct.backend import cache_compilations
+from koala3d.reconstruct.errors import ReconstructError
+from koala3d.reconstruct.output.evaluate import METRICS
+from koala3d.reconstruct.studies import results_table
+from koala3d.reconstruct.studies.jobs import Job, Recipe, chosen_seeds, open_study, scenes_by_name
+from koala3d.reconstruct.studies.results import rows_of_runs
+from koala3d.reconstruct.studies.seeds import seed_folder
 
 FORMAT, VERSION = "koala-sweep", 1
 SWEEP = "sweep.json"
@@ -93,7 +93,7 @@ def run(wanted: Sequence[Job], out: Path, *, ray_address: str | None = None, use
 def _ended(todo: Sequence[Job], use_ray: bool, ray_address: str | None) -> Iterator[tuple[Job, str]]:
     """Jobs as they end, each with its error or ""."""
     if use_ray:
-        from reconstruct.studies import on_ray  # Ray is optional
+        from koala3d.reconstruct.studies import on_ray  # Ray is optional
 
         yield from on_ray.run_all(todo, ray_address)
     else:

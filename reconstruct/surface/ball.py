@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from reconstruct.config import SurfaceConfig
+from koala3d.reconstruct.config import SurfaceConfig
 
 
 def sphere_directions(count: int, kappa: float = 0.0) -> Float[np.ndarray, "count 3"]:

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from reconstruct.sampling.samples import RaySamples
+from koala3d.reconstruct.sampling.samples import RaySamples
 
 HALF_WIDTH = float(np.sqrt(2 * np.log(2)))
 """Half-width at half-maximum of a Gaussian, in standard deviations."""

@@ -4,15 +4,15 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from reconstruct.field.appearance import Material
-from reconstruct.field.field import Field
-from reconstruct.field.lit import Lit
-from reconstruct.field.near import Near
-from reconstruct.numerics.safe import normalise
-from reconstruct.scene.rays import Rays
-from reconstruct.surface.first_surface import Surface
-from reconstruct.surface.place import Place
-from reconstruct.surface.regularisers import metal_or_not
+from koala3d.reconstruct.field.appearance import Material
+from koala3d.reconstruct.field.field import Field
+from koala3d.reconstruct.field.lit import Lit
+from koala3d.reconstruct.field.near import Near
+from koala3d.reconstruct.numerics.safe import normalise
+from koala3d.reconstruct.scene.rays import Rays
+from koala3d.reconstruct.surface.first_surface import Surface
+from koala3d.reconstruct.surface.place import Place
+from koala3d.reconstruct.surface.regularisers import metal_or_not
 
 CAMERAS = 32
 """Cameras of a batch in whose directions each point is looked at."""

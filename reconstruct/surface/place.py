@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from reconstruct.field.cloud import Cloud, points_on_rays
-from reconstruct.scene.rays import Rays
-from reconstruct.scene.space import Space
-from reconstruct.surface.first_surface import HALF_WIDTH, Surface
+from koala3d.reconstruct.field.cloud import Cloud, points_on_rays
+from koala3d.reconstruct.scene.rays import Rays
+from koala3d.reconstruct.scene.space import Space
+from koala3d.reconstruct.surface.first_surface import HALF_WIDTH, Surface
 
 
 @dataclass(frozen=True)

@@ -7,17 +7,17 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from reconstruct.config import SurfaceConfig
-from reconstruct.field.appearance import Material
-from reconstruct.field.field import Field
-from reconstruct.field.lit import Lit
-from reconstruct.field.near import Near
-from reconstruct.scene.rays import Rays
-from reconstruct.surface import regularisers
-from reconstruct.surface.ball import ball_samples
-from reconstruct.surface.first_surface import Surfaces
-from reconstruct.surface.parts import bias_for_two_kinds, kinds_told_apart
-from reconstruct.surface.place import Place
+from koala3d.reconstruct.config import SurfaceConfig
+from koala3d.reconstruct.field.appearance import Material
+from koala3d.reconstruct.field.field import Field
+from koala3d.reconstruct.field.lit import Lit
+from koala3d.reconstruct.field.near import Near
+from koala3d.reconstruct.scene.rays import Rays
+from koala3d.reconstruct.surface import regularisers
+from koala3d.reconstruct.surface.ball import ball_samples
+from koala3d.reconstruct.surface.first_surface import Surfaces
+from koala3d.reconstruct.surface.parts import bias_for_two_kinds, kinds_told_apart
+from koala3d.reconstruct.surface.place import Place
 
 PerPoint = dict[str, Float[Array, " n"]]
 

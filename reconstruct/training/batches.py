@@ -9,13 +9,13 @@ import jax
 import numpy as np
 from jaxtyping import PRNGKeyArray
 
-from datasets.core.errors import UsageError
-from reconstruct.numerics.compiling import barrier
-from reconstruct.rendering.model import Model
-from reconstruct.sampling.sampler import Batch
-from reconstruct.scene.rays import Pixels
-from reconstruct.scene.twists import moved
-from reconstruct.training.distributed import on_all
+from koala3d.datasets.core.errors import UsageError
+from koala3d.reconstruct.numerics.compiling import barrier
+from koala3d.reconstruct.rendering.model import Model
+from koala3d.reconstruct.sampling.sampler import Batch
+from koala3d.reconstruct.scene.rays import Pixels
+from koala3d.reconstruct.scene.twists import moved
+from koala3d.reconstruct.training.distributed import on_all
 
 Tree = TypeVar("Tree")
 

@@ -5,8 +5,8 @@ from typing import Annotated, Any
 
 from typer import Argument, Option
 
-from datasets.core import console
-from reconstruct.options import Budget, ModelName, Preset, Settings
+from koala3d.datasets.core import console
+from koala3d.reconstruct.options import Budget, ModelName, Preset, Settings
 
 
 def train(
@@ -49,12 +49,12 @@ def train(
     as_json: console.Json = False,
 ) -> None:
     """Train a model on the training views of a scene."""
-    from reconstruct.backend import cache_compilations
-    from reconstruct.run import RUN
-    from reconstruct.training import distributed
-    from reconstruct.training.loop import train as run_training
-    from reconstruct.training.ray_count import scaled
-    from reconstruct.training.skipping import record
+    from koala3d.reconstruct.backend import cache_compilations
+    from koala3d.reconstruct.run import RUN
+    from koala3d.reconstruct.training import distributed
+    from koala3d.reconstruct.training.loop import train as run_training
+    from koala3d.reconstruct.training.ray_count import scaled
+    from koala3d.reconstruct.training.skipping import record
 
     set_ = [*(set_ or ()), *record.forced(no_skip or ()), *(["train.tensorboard=true"] if tensorboard else [])]
     if list_settings:
@@ -71,7 +71,7 @@ def train(
 
 def _agreed(scene: str | None, from_: Path | None, finetune: bool, out: Path | None) -> Path:
     """The folder of the run. Raises UsageError where something is missing or contradicts something else."""
-    from datasets.core.errors import UsageError
+    from koala3d.datasets.core.errors import UsageError
 
     if (scene is None) != finetune or (finetune and from_ is None):
         remedy = "with a scene, --from RUN begins with its weights"
@@ -82,8 +82,8 @@ def _agreed(scene: str | None, from_: Path | None, finetune: bool, out: Path | N
 
 
 def _list_settings(model: str, preset: str, overrides: list[str], as_json: bool) -> None:
-    from reconstruct import listing
-    from reconstruct.models import load_config
+    from koala3d.reconstruct import listing
+    from koala3d.reconstruct.models import load_config
 
     rows = listing.settings(load_config(model, preset, overrides))
     console.report({"settings": rows}, as_json=as_json, text=listing.settings_text(rows))
@@ -91,10 +91,10 @@ def _list_settings(model: str, preset: str, overrides: list[str], as_json: bool)
 
 def _inputs(scene: str | None, from_: Path | None, model: str, preset: str, overrides: list[str], begun: bool) -> Any:
     """Configuration, path of the scene, the scene, and the run to start from (or None)."""
-    from datasets.formats import find, load_scene
-    from reconstruct.models import changed, finetuned, load_config
-    from reconstruct.run import Run
-    from reconstruct.training.beginning.series import require_model
+    from koala3d.datasets.formats import find, load_scene
+    from koala3d.reconstruct.models import changed, finetuned, load_config
+    from koala3d.reconstruct.run import Run
+    from koala3d.reconstruct.training.beginning.series import require_model
 
     run = None if from_ is None else Run.open(from_)
     if run is not None and scene is None:
@@ -108,7 +108,7 @@ def _inputs(scene: str | None, from_: Path | None, model: str, preset: str, over
 
 def _summary(result: dict[str, Any], out: Path) -> str:
     """Skips, time and quality of a finished training."""
-    from reconstruct.training.skipping import record
+    from koala3d.reconstruct.training.skipping import record
 
     skips = [record.Skip(**skip) for skip in result["skips"]]
     skipped = "".join(f"  {line}\n" for line in record.left_out(skips))

@@ -22,10 +22,10 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.core.console import hint
-from datasets.core.errors import KoalaError, UsageError
-from datasets.core.files import refuse_existing
-from reconstruct.errors import ReconstructError
+from koala3d.datasets.core.console import hint
+from koala3d.datasets.core.errors import KoalaError, UsageError
+from koala3d.datasets.core.files import refuse_existing
+from koala3d.reconstruct.errors import ReconstructError
 
 JOIN_S, SILENCE_S, LEAVE_S = 300, 60, 20
 """Seconds that a process waits for the others to come; after which one that is silent counts as lost; and to leave together."""

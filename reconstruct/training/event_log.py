@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from datasets.core.errors import UsageError
+from koala3d.datasets.core.errors import UsageError
 
 
 def scalars_of(line: dict[str, Any]) -> dict[str, float]:

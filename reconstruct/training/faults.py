@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
-from reconstruct.kernels.squares import sum_of_squares
+from koala3d.reconstruct.kernels.squares import sum_of_squares
 
 FAULTS = "faults"
 """Key of the faults among a step's terms."""

@@ -10,20 +10,20 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from datasets.core.console import progress
-from datasets.core.errors import UsageError
-from datasets.scene import Scene
-from reconstruct.config import Config
-from reconstruct.convergence import figures_of, warn_early
-from reconstruct.run import Run
-from reconstruct.scene import poses
-from reconstruct.training import distributed
-from reconstruct.training.beginning.starting import LOOKS, resumed, start
-from reconstruct.training.event_log import event_log, require_writer
-from reconstruct.training.pace import budget
-from reconstruct.training.pace.pause import give_way
-from reconstruct.training.skipping import outcome, record
-from reconstruct.training.training import Training
+from koala3d.datasets.core.console import progress
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.scene import Scene
+from koala3d.reconstruct.config import Config
+from koala3d.reconstruct.convergence import figures_of, warn_early
+from koala3d.reconstruct.run import Run
+from koala3d.reconstruct.scene import poses
+from koala3d.reconstruct.training import distributed
+from koala3d.reconstruct.training.beginning.starting import LOOKS, resumed, start
+from koala3d.reconstruct.training.event_log import event_log, require_writer
+from koala3d.reconstruct.training.pace import budget
+from koala3d.reconstruct.training.pace.pause import give_way
+from koala3d.reconstruct.training.skipping import outcome, record
+from koala3d.reconstruct.training.training import Training
 
 
 def train(

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from reconstruct.numerics.volume import sum_before
+from koala3d.reconstruct.numerics.volume import sum_before
 
 NOTHING = 1e-35
 """A density that no length makes visible; nothing is divided by less."""

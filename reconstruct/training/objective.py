@@ -6,22 +6,22 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
-from reconstruct.config import Config, LossConfig
-from reconstruct.field.cloud import Cloud
-from reconstruct.field.field import Field
-from reconstruct.field.mlp import computed_in
-from reconstruct.numerics.stepfun import resample_blurred
-from reconstruct.rendering.model import Model, Rendered, render
-from reconstruct.sampling.proposals import Level
-from reconstruct.sampling.sampler import Batch, Sampled
-from reconstruct.sampling.samples import RaySamples, cloud_of
-from reconstruct.scene.facts import SceneFacts
-from reconstruct.scene.rays import Rays, over
-from reconstruct.scene.twists import followed
-from reconstruct.surface.first_surface import Surface, Surfaces, find_surfaces, first_surface
-from reconstruct.surface.place import Place
-from reconstruct.training import losses
-from reconstruct.training.pace.schedules import between, late
+from koala3d.reconstruct.config import Config, LossConfig
+from koala3d.reconstruct.field.cloud import Cloud
+from koala3d.reconstruct.field.field import Field
+from koala3d.reconstruct.field.mlp import computed_in
+from koala3d.reconstruct.numerics.stepfun import resample_blurred
+from koala3d.reconstruct.rendering.model import Model, Rendered, render
+from koala3d.reconstruct.sampling.proposals import Level
+from koala3d.reconstruct.sampling.sampler import Batch, Sampled
+from koala3d.reconstruct.sampling.samples import RaySamples, cloud_of
+from koala3d.reconstruct.scene.facts import SceneFacts
+from koala3d.reconstruct.scene.rays import Rays, over
+from koala3d.reconstruct.scene.twists import followed
+from koala3d.reconstruct.surface.first_surface import Surface, Surfaces, find_surfaces, first_surface
+from koala3d.reconstruct.surface.place import Place
+from koala3d.reconstruct.training import losses
+from koala3d.reconstruct.training.pace.schedules import between, late
 
 Terms = dict[str, Float[Array, ""]]
 

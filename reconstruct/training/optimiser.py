@@ -9,12 +9,12 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Bool, Float
 
-from reconstruct.config import Config, PoseConfig, TrainConfig
-from reconstruct.kernels import adam
-from reconstruct.rendering.model import Model
-from reconstruct.scene.facts import SceneFacts
-from reconstruct.scene.twists import without_gauge
-from reconstruct.training.pace.schedules import late, learning_rate
+from koala3d.reconstruct.config import Config, PoseConfig, TrainConfig
+from koala3d.reconstruct.kernels import adam
+from koala3d.reconstruct.rendering.model import Model
+from koala3d.reconstruct.scene.facts import SceneFacts
+from koala3d.reconstruct.scene.twists import without_gauge
+from koala3d.reconstruct.training.pace.schedules import late, learning_rate
 
 DECAYS, SMALLEST = (0.9, 0.99), 1e-15
 """Of Adam: what its mean and its mean square keep of the steps before, and what is added to the root of the latter."""

@@ -7,28 +7,28 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.core.console import hint, progress
-from datasets.imaging.copies import Copies
-from datasets.scene import Scene, View
-from reconstruct.config import Config
-from reconstruct.rendering.probe import Probe
-from reconstruct.sampling.create import sampler_type
-from reconstruct.scene import poses
-from reconstruct.scene.facts import SceneFacts
-from reconstruct.scene.pool import Pool
-from reconstruct.scene.rays import Normalisation, Pixels
-from reconstruct.scene.reading import held_out, training_pixels
-from reconstruct.training import distributed
-from reconstruct.training.batches import Division
-from reconstruct.training.ray_count import sized
-from reconstruct.training.skipping import matched, record
-from reconstruct.training.skipping.evidence import evidence_of
-from reconstruct.training.skipping.gains import gains_between
-from reconstruct.training.skipping.lamps import decided_light
-from reconstruct.training.skipping.matte import matte_share
-from reconstruct.training.skipping.plan import lenses, plan
-from reconstruct.training.skipping.refinement import with_poses
-from reconstruct.training.step import Step, TrainState
+from koala3d.datasets.core.console import hint, progress
+from koala3d.datasets.imaging.copies import Copies
+from koala3d.datasets.scene import Scene, View
+from koala3d.reconstruct.config import Config
+from koala3d.reconstruct.rendering.probe import Probe
+from koala3d.reconstruct.sampling.create import sampler_type
+from koala3d.reconstruct.scene import poses
+from koala3d.reconstruct.scene.facts import SceneFacts
+from koala3d.reconstruct.scene.pool import Pool
+from koala3d.reconstruct.scene.rays import Normalisation, Pixels
+from koala3d.reconstruct.scene.reading import held_out, training_pixels
+from koala3d.reconstruct.training import distributed
+from koala3d.reconstruct.training.batches import Division
+from koala3d.reconstruct.training.ray_count import sized
+from koala3d.reconstruct.training.skipping import matched, record
+from koala3d.reconstruct.training.skipping.evidence import evidence_of
+from koala3d.reconstruct.training.skipping.gains import gains_between
+from koala3d.reconstruct.training.skipping.lamps import decided_light
+from koala3d.reconstruct.training.skipping.matte import matte_share
+from koala3d.reconstruct.training.skipping.plan import lenses, plan
+from koala3d.reconstruct.training.skipping.refinement import with_poses
+from koala3d.reconstruct.training.step import Step, TrainState
 
 
 class Prepared(NamedTuple):

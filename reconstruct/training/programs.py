@@ -13,14 +13,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from reconstruct.numerics.compiling import compiler_options
-from reconstruct.scene.rays import Pixels
-from reconstruct.training.batches import Division
-from reconstruct.training.faults import FAULTS
+from koala3d.reconstruct.numerics.compiling import compiler_options
+from koala3d.reconstruct.scene.rays import Pixels
+from koala3d.reconstruct.training.batches import Division
+from koala3d.reconstruct.training.faults import FAULTS
 
 if TYPE_CHECKING:
-    from reconstruct.training.objective import Terms
-    from reconstruct.training.step import Step, TrainState
+    from koala3d.reconstruct.training.objective import Terms
+    from koala3d.reconstruct.training.step import Step, TrainState
 
 
 def traced(function: Callable[..., Any], arguments: tuple[Any, ...], division: Division, uses_up: tuple[int, ...] = ()) -> Any:

@@ -6,13 +6,13 @@ import os
 import jax
 import jax.numpy as jnp
 
-from datasets.core.console import hint
-from reconstruct.config import Config, SamplerConfig
-from reconstruct.errors import ReconstructError
-from reconstruct.sampling.create import sampler_type
-from reconstruct.scene.facts import SceneFacts
-from reconstruct.scene.rays import Pixels
-from reconstruct.training.step import Step
+from koala3d.datasets.core.console import hint
+from koala3d.reconstruct.config import Config, SamplerConfig
+from koala3d.reconstruct.errors import ReconstructError
+from koala3d.reconstruct.sampling.create import sampler_type
+from koala3d.reconstruct.scene.facts import SceneFacts
+from koala3d.reconstruct.scene.rays import Pixels
+from koala3d.reconstruct.training.step import Step
 
 SHARE = 0.9
 """Share of the device's memory that a step may take."""

@@ -11,22 +11,22 @@ import optax
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 from numpy.typing import NDArray
 
-from reconstruct.config import Config
-from reconstruct.field.mlp import computed_in
-from reconstruct.numerics.compiling import barrier, compiler_options
-from reconstruct.rendering.model import Model
-from reconstruct.sampling.create import sampler_type
-from reconstruct.scene.facts import SceneFacts
-from reconstruct.scene.rays import Pixels, Rays
-from reconstruct.surface.first_surface import Surfaces
-from reconstruct.surface.place import Place
-from reconstruct.surface.second_pass import SecondPass
-from reconstruct.training.batches import ONE_DEVICE, Division, drawn_batch
-from reconstruct.training.faults import FAULTS, finite_parts, packed
-from reconstruct.training.objective import SETTLED, Objective, Terms, total
-from reconstruct.training.optimiser import Optimiser
-from reconstruct.training.pace.schedules import encoding_blur, late
-from reconstruct.training.programs import Programs, traced
+from koala3d.reconstruct.config import Config
+from koala3d.reconstruct.field.mlp import computed_in
+from koala3d.reconstruct.numerics.compiling import barrier, compiler_options
+from koala3d.reconstruct.rendering.model import Model
+from koala3d.reconstruct.sampling.create import sampler_type
+from koala3d.reconstruct.scene.facts import SceneFacts
+from koala3d.reconstruct.scene.rays import Pixels, Rays
+from koala3d.reconstruct.surface.first_surface import Surfaces
+from koala3d.reconstruct.surface.place import Place
+from koala3d.reconstruct.surface.second_pass import SecondPass
+from koala3d.reconstruct.training.batches import ONE_DEVICE, Division, drawn_batch
+from koala3d.reconstruct.training.faults import FAULTS, finite_parts, packed
+from koala3d.reconstruct.training.objective import SETTLED, Objective, Terms, total
+from koala3d.reconstruct.training.optimiser import Optimiser
+from koala3d.reconstruct.training.pace.schedules import encoding_blur, late
+from koala3d.reconstruct.training.programs import Programs, traced
 
 UPKEEP = 16
 """Folded into the random key of a sampler's upkeep."""

@@ -9,22 +9,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from datasets.core.console import hint
-from reconstruct import checkpoint
-from reconstruct.errors import ReconstructError
-from reconstruct.rendering.pictures import Renderer
-from reconstruct.rendering.probe import Probe, held_out_psnr
-from reconstruct.run import CHECKPOINTS, Run
-from reconstruct.scene.pool import Pool
-from reconstruct.scene.rays import Pixels
-from reconstruct.surface.second_pass import second_pass_period
-from reconstruct.training import distributed
-from reconstruct.training.event_log import EventLog
-from reconstruct.training.faults import FAULTS, RECURS, cause
-from reconstruct.training.pace.budget import Plan
-from reconstruct.training.pace.clock import Clock
-from reconstruct.training.skipping import record
-from reconstruct.training.step import Step, TrainState
+from koala3d.datasets.core.console import hint
+from koala3d.reconstruct import checkpoint
+from koala3d.reconstruct.errors import ReconstructError
+from koala3d.reconstruct.rendering.pictures import Renderer
+from koala3d.reconstruct.rendering.probe import Probe, held_out_psnr
+from koala3d.reconstruct.run import CHECKPOINTS, Run
+from koala3d.reconstruct.scene.pool import Pool
+from koala3d.reconstruct.scene.rays import Pixels
+from koala3d.reconstruct.surface.second_pass import second_pass_period
+from koala3d.reconstruct.training import distributed
+from koala3d.reconstruct.training.event_log import EventLog
+from koala3d.reconstruct.training.faults import FAULTS, RECURS, cause
+from koala3d.reconstruct.training.pace.budget import Plan
+from koala3d.reconstruct.training.pace.clock import Clock
+from koala3d.reconstruct.training.skipping import record
+from koala3d.reconstruct.training.step import Step, TrainState
 
 CHUNK = 16
 """Largest number of steps between two checks of the clock."""

@@ -7,16 +7,16 @@ import cv2
 import numpy as np
 import pytest
 
-from calib.calibrate import calibrate_handeye
-from calib.handeye import model
-from calib.intrinsics import projection
-from calib.sessions.session import observe_recording
-from calib.targets.detection import Observation
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.imaging import images
-from datasets.recording import Frame, Recording
-from datasets.targets.board import Board
+from koala3d.calib.calibrate import calibrate_handeye
+from koala3d.calib.handeye import model
+from koala3d.calib.intrinsics import projection
+from koala3d.calib.sessions.session import observe_recording
+from koala3d.calib.targets.detection import Observation
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.imaging import images
+from koala3d.datasets.recording import Frame, Recording
+from koala3d.datasets.targets.board import Board
 
 BOARD = Board.of("charuco", 11, 8, 0.03, 0.022, "DICT_5X5_100")
 CAMERA = Camera(960, 600, 850.0, 848.0, 484.0, 296.0, -0.08, 0.05, 0.0006, -0.0004, 0.0)

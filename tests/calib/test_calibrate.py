@@ -3,14 +3,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib import calibrate
-from calib.errors import TargetError, Unobservable
-from calib.handeye import verify
-from calib.handeye.model import Accuracy
-from calib.sessions.session import TargetSession
-from datasets import pose
-from datasets.calibration import Calibration
-from datasets.core.errors import UsageError
+from koala3d.calib import calibrate
+from koala3d.calib.errors import TargetError, Unobservable
+from koala3d.calib.handeye import verify
+from koala3d.calib.handeye.model import Accuracy
+from koala3d.calib.sessions.session import TargetSession
+from koala3d.datasets import pose
+from koala3d.datasets.calibration import Calibration
+from koala3d.datasets.core.errors import UsageError
 
 
 def target_session(simulated, name="a"):

@@ -5,7 +5,7 @@ from functools import partial
 
 import pytest
 
-from calib.cli import main
+from koala3d.calib.cli import main
 
 
 @pytest.fixture(scope="module")

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from calib import calibrate
-from calib.study import variants
-from calib.study.bench import ESTIMATED, RIG
-from calib.study.simulate import Pattern, simulate, viewpoints
-from datasets import pose
+from koala3d.calib import calibrate
+from koala3d.calib.study import variants
+from koala3d.calib.study.bench import ESTIMATED, RIG
+from koala3d.calib.study.simulate import Pattern, simulate, viewpoints
+from koala3d.datasets import pose
 
 
 def inside(truth, stated):

@@ -5,19 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib import calibrate
-from calib.advice.adviser import Adviser, Wanted
-from calib.advice.hints import hints
-from calib.errors import Unobservable
-from calib.handeye import model, refine, uncertainty, verify
-from calib.handeye.model import Accuracy, Session, State
-from calib.intrinsics import projection
-from calib.sessions.session import TargetSession
-from calib.study.simulate import KOALA
-from calib.targets.detection import Observation
-from datasets import pose
-from datasets.calibration import Calibration
-from datasets.targets.board import Board
+from koala3d.calib import calibrate
+from koala3d.calib.advice.adviser import Adviser, Wanted
+from koala3d.calib.advice.hints import hints
+from koala3d.calib.errors import Unobservable
+from koala3d.calib.handeye import model, refine, uncertainty, verify
+from koala3d.calib.handeye.model import Accuracy, Session, State
+from koala3d.calib.intrinsics import projection
+from koala3d.calib.sessions.session import TargetSession
+from koala3d.calib.study.simulate import KOALA
+from koala3d.calib.targets.detection import Observation
+from koala3d.datasets import pose
+from koala3d.datasets.calibration import Calibration
+from koala3d.datasets.targets.board import Board
 
 BOARD = Board.of("charuco", 9, 7, 0.02, 0.0146)
 BASE_FROM_CAMERA = pose.look_at((1.1, 0.1, 0.5), (0.5, 0.0, 0.4))

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from calib.calibrate import calibrate_handeye
-from calib.sessions.session import observe_recording
-from datasets.build import camera_for
-from datasets.calibration import Calibration
-from datasets.recording import Recording
+from koala3d.calib.calibrate import calibrate_handeye
+from koala3d.calib.sessions.session import observe_recording
+from koala3d.datasets.build import camera_for
+from koala3d.datasets.calibration import Calibration
+from koala3d.datasets.recording import Recording
 
 REGION = {"width": 480, "height": 300, "offset_x": 40, "offset_y": 20, "binning": 1}
 

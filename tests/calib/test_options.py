@@ -7,8 +7,8 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from calib import options
-from datasets.core.errors import UsageError
+from koala3d.calib import options
+from koala3d.datasets.core.errors import UsageError
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,16 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib import calibrate
-from calib.calibrate import calibrate_handeye
-from calib.handeye import closed_forms
-from calib.handeye.model import Accuracy
-from calib.intrinsics import estimate
-from calib.page.summary import notes
-from calib.sessions import importer
-from calib.study import compare
-from datasets import pose
-from datasets.calibration import Calibration
+from koala3d.calib import calibrate
+from koala3d.calib.calibrate import calibrate_handeye
+from koala3d.calib.handeye import closed_forms
+from koala3d.calib.handeye.model import Accuracy
+from koala3d.calib.intrinsics import estimate
+from koala3d.calib.page.summary import notes
+from koala3d.calib.sessions import importer
+from koala3d.calib.study import compare
+from koala3d.datasets import pose
+from koala3d.datasets.calibration import Calibration
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT.parent / "shared" / "data"

@@ -4,13 +4,13 @@ import cv2
 import numpy as np
 import pytest
 
-from calib import sfm
-from calib.errors import CalibrationError
-from calib.handeye.model import Accuracy
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.imaging import images
-from datasets.scene import Scene, View
+from koala3d.calib import sfm
+from koala3d.calib.errors import CalibrationError
+from koala3d.calib.handeye.model import Accuracy
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import Scene, View
 
 CAMERA = Camera(200, 150, 187.5, 188.1, 100.6, 74.4, -0.05, 0.02)
 WALLS = ((2, 0.0), (0, -0.25), (1, 0.25))

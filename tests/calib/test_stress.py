@@ -7,17 +7,17 @@ from functools import partial
 import numpy as np
 import pytest
 
-from calib import calibrate
-from calib.errors import CalibrationError, Unobservable
-from calib.handeye import closed_forms, uncertainty
-from calib.handeye.model import Accuracy
-from calib.sessions.session import TargetSession
-from calib.study.simulate import KOALA, Pattern, simulate, viewpoints
-from datasets import pose
-from datasets.calibration import Calibration
-from datasets.camera_model import Camera
-from datasets.core.errors import KoalaError
-from datasets.targets.board import Board
+from koala3d.calib import calibrate
+from koala3d.calib.errors import CalibrationError, Unobservable
+from koala3d.calib.handeye import closed_forms, uncertainty
+from koala3d.calib.handeye.model import Accuracy
+from koala3d.calib.sessions.session import TargetSession
+from koala3d.calib.study.simulate import KOALA, Pattern, simulate, viewpoints
+from koala3d.datasets import pose
+from koala3d.datasets.calibration import Calibration
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core.errors import KoalaError
+from koala3d.datasets.targets.board import Board
 
 ARM = Accuracy(3e-5, float(np.deg2rad(0.005)))
 BOARD = Board.of("charuco", 8, 6, 0.045, 0.033)

@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager
 
 import numpy as np
 
-from capture.sim.controller.handle import ControllerHandle
+from koala3d.capture.sim.controller.handle import ControllerHandle
 from tests.moments import as_soon_as, until
 
 FAR = np.array([2.0, -1.2, 0.8, -1.5, -1.0, 0.2])

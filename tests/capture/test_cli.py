@@ -13,15 +13,15 @@ import numpy as np
 import pytest
 import trimesh
 
-from capture.arms.model import load_arm
-from capture.cli import main
-from capture.errors import RigConnectionError
-from capture.kinematics import forward
-from capture.rig.description import load_rig
-from capture.sim.controller.handle import ControllerHandle
-from datasets.core import files
-from datasets.imaging import images
-from datasets.recording import Recording
+from koala3d.capture.arms.model import load_arm
+from koala3d.capture.cli import main
+from koala3d.capture.errors import RigConnectionError
+from koala3d.capture.kinematics import forward
+from koala3d.capture.rig.description import load_rig
+from koala3d.capture.sim.controller.handle import ControllerHandle
+from koala3d.datasets.core import files
+from koala3d.datasets.imaging import images
+from koala3d.datasets.recording import Recording
 
 SESSION = """\
 format: koala-trajectory
@@ -91,7 +91,7 @@ def test_an_arm_that_hangs_records_a_session(capture, tmp_path):
 
 def test_sim_starts_as_a_hanging_arm(tmp_path):
     rig, host = tmp_path / "rig.yaml", f"127.78.{os.getpid() % 200 + 1}.1"
-    command = [sys.executable, "-m", "capture.cli", "sim", "--hangs", "--out", str(rig), "--host", host]
+    command = [sys.executable, "-m", "koala3d.capture.cli", "sim", "--hangs", "--out", str(rig), "--host", host]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True) as process:
         assert process.stdout is not None and host in process.stdout.readline()
         simulation = load_rig(rig).simulation
@@ -106,7 +106,7 @@ def test_ctrl_c_keeps_the_frames_and_says_how_to_resume(capture, tmp_path):
     path = tmp_path / "many.yaml"
     path.write_text(SESSION.replace("COUNT", "12").replace("TRAIN", "11"))
     out = tmp_path / "rec"
-    command = [sys.executable, "-m", "capture.cli", "run", str(path), "--scene", "grey_card", "--out", str(out)]
+    command = [sys.executable, "-m", "koala3d.capture.cli", "run", str(path), "--scene", "grey_card", "--out", str(out)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
     deadline = time.monotonic() + 90
     while not (out / "frames.jsonl").exists() and time.monotonic() < deadline:
@@ -179,7 +179,7 @@ def running_sim(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], Path]]:
     rig = tmp_path / "rig.yaml"
     host = f"127.77.{os.getpid() % 200 + 1}.1"
     options = {"--scene": "board", "--out": str(rig), "--host": host, "--time-scale": "20", "--seed": "3"}
-    command = [sys.executable, "-m", "capture.cli", "sim", *(word for option in options.items() for word in option)]
+    command = [sys.executable, "-m", "koala3d.capture.cli", "sim", *(word for option in options.items() for word in option)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
         assert process.stdout is not None
         line = process.stdout.readline()
@@ -189,7 +189,7 @@ def running_sim(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], Path]]:
 
 
 def test_sim_serves_a_session_and_ends_with_ctrl_c(capture, running_sim, tmp_path):
-    from capture.robots.dashboard import Dashboard
+    from koala3d.capture.robots.dashboard import Dashboard
 
     process, rig = running_sim
     board = "calibration_demo"

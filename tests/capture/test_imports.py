@@ -8,7 +8,7 @@ PACKAGE = Path(__file__).parents[2] / "capture"
 
 def place(name: str) -> str:
     """Folder of a module, or the module itself where it is directly in the package."""
-    parts = name.split(".")[1:]
+    parts = name.split(".")[2:]
     while parts and not (PACKAGE.joinpath(*parts).is_dir() or PACKAGE.joinpath(*parts).with_suffix(".py").is_file()):
         parts = parts[:-1]  # a name inside a module
     inside_folder = len(parts) > 1 and not PACKAGE.joinpath(*parts).is_dir()
@@ -19,14 +19,14 @@ def imports() -> dict[str, set[str]]:
     """Which places each place imports, also inside functions."""
     found: dict[str, set[str]] = {}
     for path in PACKAGE.rglob("*.py"):
-        here = place(".".join(("capture", *path.relative_to(PACKAGE).with_suffix("").parts)).removesuffix(".__init__"))
+        here = place(".".join(("koala3d", "capture", *path.relative_to(PACKAGE).with_suffix("").parts)).removesuffix(".__init__"))
         names: set[str] = set()
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.ImportFrom) and node.module:
                 names |= {f"{node.module}.{alias.name}" for alias in node.names}
             elif isinstance(node, ast.Import):
                 names |= {alias.name for alias in node.names}
-        found.setdefault(here, set()).update({place(name) for name in names if name.startswith("capture.")} - {here})
+        found.setdefault(here, set()).update({place(name) for name in names if name.startswith("koala3d.capture.")} - {here})
     return found
 
 

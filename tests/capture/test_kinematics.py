@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from capture import kinematics
-from capture.arms.model import load_arm
-from datasets import pose
+from koala3d.capture import kinematics
+from koala3d.capture.arms.model import load_arm
+from koala3d.datasets import pose
 
 
 def _slow_forward(joints):

@@ -5,14 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from capture.recording.recorder import record
-from capture.rig.opening import open_rig, write_simulated_rig
-from capture.sim.controller.process import SimulatedController
-from capture.trajectory import load_trajectory
-from datasets import pose
-from datasets.core import files
-from datasets.imaging import images
-from datasets.recording import TRUTH, Recording
+from koala3d.capture.recording.recorder import record
+from koala3d.capture.rig.opening import open_rig, write_simulated_rig
+from koala3d.capture.sim.controller.process import SimulatedController
+from koala3d.capture.trajectory import load_trajectory
+from koala3d.datasets import pose
+from koala3d.datasets.core import files
+from koala3d.datasets.imaging import images
+from koala3d.datasets.recording import TRUTH, Recording
 
 SCENES = ("shiny_ball", "crystal_capture")
 SIX = "views=[{kind: orbit, target: [0.4, 0, 0.14], distance: 0.4, elevation_deg: 50, count: 6, roll_deg: [0, 90, 180, 270]}]"

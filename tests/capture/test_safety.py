@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from capture.errors import SafetyError
-from capture.safety import Limits
+from koala3d.capture.errors import SafetyError
+from koala3d.capture.safety import Limits
 
 
 def test_a_sound_target_passes():

@@ -5,9 +5,9 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from capture.geometry import Box
-from capture.trajectory import load_trajectory
-from datasets.core.errors import UsageError
+from koala3d.capture.geometry import Box
+from koala3d.capture.trajectory import load_trajectory
+from koala3d.datasets.core.errors import UsageError
 
 SMALL = """\
 name: small

@@ -5,16 +5,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from capture.errors import UnreachableError
-from capture.planning import Obstacles, duration, plan
-from capture.recording.check import check
-from capture.recording.manifest import require_same_session
-from capture.recording.recorder import record
-from capture.rig.description import RigDescription, load_rig
-from capture.rig.opening import Rig, describe
-from capture.trajectory import Trajectory, load_trajectory
-from datasets.core.errors import UsageError
-from datasets.recording import Recording
+from koala3d.capture.errors import UnreachableError
+from koala3d.capture.planning import Obstacles, duration, plan
+from koala3d.capture.recording.check import check
+from koala3d.capture.recording.manifest import require_same_session
+from koala3d.capture.recording.recorder import record
+from koala3d.capture.rig.description import RigDescription, load_rig
+from koala3d.capture.rig.opening import Rig, describe
+from koala3d.capture.trajectory import Trajectory, load_trajectory
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.recording import Recording
 from tests.capture.recording.test_recorder import StandInCamera, StandInRobot
 
 TURNTABLE = {"base_from_turntable": {"position": [0.4, 0.0, 0.0]}, "max_deg": 400.0}

@@ -4,7 +4,16 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from capture.viewpoints import CameraPose, GridViews, HemisphereViews, JointViews, OrbitViews, PoseViews, TiltedViews, spread
+from koala3d.capture.viewpoints import (
+    CameraPose,
+    GridViews,
+    HemisphereViews,
+    JointViews,
+    OrbitViews,
+    PoseViews,
+    TiltedViews,
+    spread,
+)
 
 TARGET = (0.4, 0.1, 0.2)
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.imaging import images
-from datasets.scene import Scene, View
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import Scene, View
 
 CAMERA = Camera(128, 96, 110, 110, 64, 48)
 WALLS = Camera(200, 150, 220.0, 221.0, 101.0, 74.0, k1=-0.05)

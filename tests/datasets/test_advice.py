@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from datasets.advice import Answer, Question
-from datasets.core.errors import DatasetError
+from koala3d.datasets.advice import Answer, Question
+from koala3d.datasets.core.errors import DatasetError
 
 
 def test_questions_and_answers_survive_their_line():

@@ -7,19 +7,19 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from datasets import pose
-from datasets.build import build, with_measured_near
-from datasets.calibration import Calibration, UncertainPose
-from datasets.camera_model import Camera
-from datasets.core import files
-from datasets.core.errors import DatasetError, UsageError
-from datasets.formats import load_scene, save_scene
-from datasets.imaging import images
-from datasets.imaging.region import Region
-from datasets.recording import Frame, Recording
-from datasets.scene import Scene
-from datasets.structure.matching import BLUR_PX
-from datasets.structure.reprojection import errors_px
+from koala3d.datasets import pose
+from koala3d.datasets.build import build, with_measured_near
+from koala3d.datasets.calibration import Calibration, UncertainPose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import DatasetError, UsageError
+from koala3d.datasets.formats import load_scene, save_scene
+from koala3d.datasets.imaging import images
+from koala3d.datasets.imaging.region import Region
+from koala3d.datasets.recording import Frame, Recording
+from koala3d.datasets.scene import Scene
+from koala3d.datasets.structure.matching import BLUR_PX
+from koala3d.datasets.structure.reprojection import errors_px
 
 CAMERA = Camera(48, 36, 45.0, 45.5, 24.6, 17.1, k1=-0.1, k2=0.02, p1=1e-3, p2=-5e-4)
 FLANGE_FROM_CAMERA = pose.from_rotation_vector((0.7, 0.02, -0.01), (0.001, 0.06, 0.08))

@@ -4,11 +4,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets import kinematics, pose
-from datasets.calibration import Calibration, LinkErrors, UncertainPose
-from datasets.camera_model import Camera
-from datasets.core.errors import DatasetError, UsageError
-from datasets.imaging.region import Region
+from koala3d.datasets import kinematics, pose
+from koala3d.datasets.calibration import Calibration, LinkErrors, UncertainPose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core.errors import DatasetError, UsageError
+from koala3d.datasets.imaging.region import Region
 
 CAMERA = Camera(640, 480, 500.0, 501.0, 322.0, 239.0, k1=-0.1)
 POSE = UncertainPose(

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from datasets.camera_model import Camera
-from datasets.conventions import pixels_from_opencv
-from datasets.core.errors import DatasetError
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.conventions import pixels_from_opencv
+from koala3d.datasets.core.errors import DatasetError
 
 
 def between(low: float, high: float) -> st.SearchStrategy[float]:

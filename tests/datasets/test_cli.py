@@ -11,14 +11,14 @@ from pathlib import Path
 
 import pytest
 
-from datasets.cli import main
-from datasets.formats import SIZED, WRITERS, koala
-from datasets.scene import Scene
+from koala3d.datasets.cli import main
+from koala3d.datasets.formats import SIZED, WRITERS, koala
+from koala3d.datasets.scene import Scene
 
 
 def command(*arguments: object, before: str = "pass") -> list[str]:
     """What a shell would start, the Python statement `before` first."""
-    return [sys.executable, "-c", f"{before}\nfrom datasets.cli import main; main()", *map(str, arguments)]
+    return [sys.executable, "-c", f"{before}\nfrom koala3d.datasets.cli import main; main()", *map(str, arguments)]
 
 
 Run = Callable[..., "subprocess.CompletedProcess[str]"]
@@ -55,7 +55,7 @@ def test_export_says_what_is_lost_and_never_overwrites(run: Run, saved: Path, tm
 
 def in_process(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict:
     """What a command prints as JSON, without a new interpreter."""
-    from datasets.cli import app
+    from koala3d.datasets.cli import app
 
     app([*map(str, arguments), "--json"], standalone_mode=False)
     return json.loads(capsys.readouterr().out)
@@ -86,7 +86,7 @@ def test_scenes_from_scenes(saved: Path, tmp_path: Path, capsys: pytest.CaptureF
     box = ["--left", 8, "--top", 4, "--width", 50, "--height", 40]
     assert done("crop", saved, *box, "--out", tmp_path / "g")["sizes"] == [[50, 40]]
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]  # nothing temporary is left
-    from datasets.core.errors import UsageError
+    from koala3d.datasets.core.errors import UsageError
 
     for wrong in (("subset", saved, "--splits", "exam"), ("convert", saved, "--format", "koala", "--sizes", "2,x")):
         with pytest.raises(UsageError):
@@ -94,8 +94,8 @@ def test_scenes_from_scenes(saved: Path, tmp_path: Path, capsys: pytest.CaptureF
 
 
 def test_names_are_looked_up_in_the_data_root_first(saved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from datasets.core.errors import UsageError
-    from datasets.formats import find
+    from koala3d.datasets.core.errors import UsageError
+    from koala3d.datasets.formats import find
 
     for root in ("root", "here", "env"):
         (tmp_path / root / "koala" / "x").mkdir(parents=True)
@@ -143,7 +143,7 @@ def test_a_broken_file_is_one_line_and_exit_code_1(run: Run, saved: Path) -> Non
 
 def test_a_full_disk_is_one_line_and_leaves_nothing(make_scene: Callable[..., Scene], tmp_path: Path) -> None:
     """Writes are limited to 2 kB a file; the signal that the system sends is ignored, so that the write fails instead."""
-    from datasets.camera_model import Camera
+    from koala3d.datasets.camera_model import Camera
 
     koala.save(make_scene(Camera(96, 72, 90.0, 91.0, 50.0, 34.0, k1=-0.1)), tmp_path / "scene")
     small_files = (
@@ -157,7 +157,7 @@ def test_a_full_disk_is_one_line_and_leaves_nothing(make_scene: Callable[..., Sc
 
 
 def test_ctrl_c_is_one_line_and_leaves_nothing(make_scene: Callable[..., Scene], tmp_path: Path) -> None:
-    from datasets.camera_model import Camera
+    from koala3d.datasets.camera_model import Camera
 
     koala.save(make_scene(Camera(320, 240, 300.0, 301.0, 160.0, 120.0, k1=-0.1), 40, truth=False), tmp_path / "scene")
     started = command(
@@ -182,7 +182,7 @@ def test_ctrl_c_is_one_line_and_leaves_nothing(make_scene: Callable[..., Scene],
 def test_the_documentation_names_commands_and_options_that_exist() -> None:
     import typer
 
-    from datasets.cli import app
+    from koala3d.datasets.cli import app
 
     group = typer.main.get_command(app)
     text = (Path(__file__).parents[2] / "docs" / "datasets.md").read_text()

@@ -2,7 +2,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from datasets.conventions import OPENCV_FROM_LLFF, OPENCV_FROM_OPENGL, opencv_from_pixels, pixels_from_opencv
+from koala3d.datasets.conventions import OPENCV_FROM_LLFF, OPENCV_FROM_OPENGL, opencv_from_pixels, pixels_from_opencv
 
 
 def test_opengl_axes_by_hand() -> None:

@@ -13,15 +13,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.build import build
-from datasets.calibration import Calibration, UncertainPose
-from datasets.core.errors import DatasetError, KoalaError, UsageError
-from datasets.core.schema import Schema, load_yaml
-from datasets.edit import edit
-from datasets.formats import load_scene, save_scene
-from datasets.imaging import images
-from datasets.recording import Frame, Recording
-from datasets.scene import Scene
+from koala3d.datasets.build import build
+from koala3d.datasets.calibration import Calibration, UncertainPose
+from koala3d.datasets.core.errors import DatasetError, KoalaError, UsageError
+from koala3d.datasets.core.schema import Schema, load_yaml
+from koala3d.datasets.edit import edit
+from koala3d.datasets.formats import load_scene, save_scene
+from koala3d.datasets.imaging import images
+from koala3d.datasets.recording import Frame, Recording
+from koala3d.datasets.scene import Scene
 
 LAYOUTS = ("koala", "blender", "nerfstudio", "llff", "dtu", "colmap")
 
@@ -68,7 +68,7 @@ def test_nothing_is_written_outside_the_output_folder(scene_with_truth: Scene, t
 
 
 def test_a_link_among_the_true_meshes_is_not_copied(scene_with_truth: Scene, tmp_path: Path) -> None:
-    from datasets.build import extra_truth
+    from koala3d.datasets.build import extra_truth
 
     save_scene(scene_with_truth, tmp_path / "scene", "koala")
     (tmp_path / "secret").write_text("private key")
@@ -82,8 +82,8 @@ def test_a_link_among_the_true_meshes_is_not_copied(scene_with_truth: Scene, tmp
 
 def stranger_recording(folder: Path, name: str) -> tuple[Path, Path]:
     """A recording of one frame with a name of a stranger's choice, and a calibration that fits."""
-    from datasets import pose
-    from datasets.camera_model import Camera
+    from koala3d.datasets import pose
+    from koala3d.datasets.camera_model import Camera
 
     camera = Camera(16, 12, 20.0, 20.0, 8.0, 6.0)
     volume = {"centre": [0.0, 0.0, 0.0], "size": [0.1, 0.1, 0.1]}

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from datasets import kinematics, pose
+from koala3d.datasets import kinematics, pose
 
 
 @pytest.fixture

@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from datasets import pose
-from datasets.core.errors import DatasetError
+from koala3d.datasets import pose
+from koala3d.datasets.core.errors import DatasetError
 
 numbers = st.floats(-3, 3, allow_subnormal=False)
 vectors = st.tuples(numbers, numbers, numbers)

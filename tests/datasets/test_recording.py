@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets import pose
-from datasets.core.errors import DatasetError, UsageError
-from datasets.recording import FRAMES, Frame, Recording
+from koala3d.datasets import pose
+from koala3d.datasets.core.errors import DatasetError, UsageError
+from koala3d.datasets.recording import FRAMES, Frame, Recording
 
 
 def frame(index: int) -> Frame:

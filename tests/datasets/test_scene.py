@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.core.errors import DatasetError, UsageError
-from datasets.formats import find, load_scene
-from datasets.imaging import images
-from datasets.scene import Scene
+from koala3d.datasets.core.errors import DatasetError, UsageError
+from koala3d.datasets.formats import find, load_scene
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import Scene
 
 
 def test_a_mask_becomes_the_alpha(make_scene: Callable[..., Scene]) -> None:

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
-from datasets.camera_model import Camera
-from datasets.core.errors import DatasetError
-from datasets.imaging.region import Region
-from datasets.spline import Grid, Spline
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core.errors import DatasetError
+from koala3d.datasets.imaging.region import Region
+from koala3d.datasets.spline import Grid, Spline
 
 GRID = Grid(-0.7, -0.45, 0.13, 0.12, 11, 8)
 KNOTS = np.random.default_rng(0).normal(0, 1e-3, (GRID.count, 2))

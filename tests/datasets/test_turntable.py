@@ -5,18 +5,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets import pose
-from datasets.build import BACKGROUND_STANDS, build
-from datasets.calibration import Calibration, UncertainPose
-from datasets.camera_model import Camera
-from datasets.core import files
-from datasets.core.errors import DatasetError
-from datasets.edit.edit import merge
-from datasets.formats import load_scene, save_scene
-from datasets.imaging import images
-from datasets.imaging.region import Region
-from datasets.recording import Frame, Recording
-from datasets.turntable import Axis
+from koala3d.datasets import pose
+from koala3d.datasets.build import BACKGROUND_STANDS, build
+from koala3d.datasets.calibration import Calibration, UncertainPose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import DatasetError
+from koala3d.datasets.edit.edit import merge
+from koala3d.datasets.formats import load_scene, save_scene
+from koala3d.datasets.imaging import images
+from koala3d.datasets.imaging.region import Region
+from koala3d.datasets.recording import Frame, Recording
+from koala3d.datasets.turntable import Axis
 
 CAMERA = Camera(24, 18, 30.0, 30.0, 12.0, 9.0)
 MOUNT = pose.from_rotation_vector((0.7, 0.02, -0.01), (0.001, 0.06, 0.08))

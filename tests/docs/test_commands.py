@@ -22,7 +22,7 @@ from typing import Any
 import pytest
 import typer
 
-from datasets.core.errors import KoalaError
+from koala3d.datasets.core.errors import KoalaError
 
 ROOT = Path(__file__).parents[2]
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")))
@@ -185,11 +185,11 @@ def test_every_quoted_command_exists() -> None:
 def check_settings(package: str, settings: list[str], trajectory: Path | None = None) -> None:
     """Raise if the files of a command do not have one of its `--set` keys."""
     if package == "reconstruct":
-        from reconstruct.models import load_config
+        from koala3d.reconstruct.models import load_config
 
         load_config("surfnerf", "fast", settings)
     elif package == "capture" and settings:
-        from capture.trajectory import load_trajectory
+        from koala3d.capture.trajectory import load_trajectory
 
         path = shipped(Path(trajectory or "TRAJECTORY"))
         assert path is not None, f"{trajectory} does not exist"

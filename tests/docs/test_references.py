@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from datasets import formats
+from koala3d.datasets import formats
 from tests.reconstruct import glossy_ball
 
 ROOT = Path(__file__).parents[2]

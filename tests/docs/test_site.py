@@ -44,8 +44,8 @@ def test_links_of_the_readme_lead_somewhere() -> None:
 
 
 def test_every_figure_is_defined() -> None:
-    from reconstruct.output import metrics
-    from reconstruct.output.mesh import surface_distance
+    from koala3d.reconstruct.output import metrics
+    from koala3d.reconstruct.output.mesh import surface_distance
 
     text = (DOCS / "numbers.md").read_text()
     assert not [name for name in {**metrics.DEFINITIONS, **surface_distance.DEFINITIONS} if f"`{name}`" not in text]

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from capture import cli
-from capture.robots.dashboard import Dashboard
-from capture.sim.controller.process import SimulatedController
-from datasets.core import files
-from datasets.recording import Recording
+from koala3d.capture import cli
+from koala3d.capture.robots.dashboard import Dashboard
+from koala3d.capture.sim.controller.process import SimulatedController
+from koala3d.datasets.core import files
+from koala3d.datasets.recording import Recording
 from tests.capture.moving import moves
 from tests.moments import as_soon_as
 

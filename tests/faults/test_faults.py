@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from capture.errors import CaptureError
-from capture.robots.timing import Deadlines
-from capture.robots.ur import UniversalRobot
-from capture.sim.controller.process import SimulatedController
-from datasets.recording import Recording
+from koala3d.capture.errors import CaptureError
+from koala3d.capture.robots.timing import Deadlines
+from koala3d.capture.robots.ur import UniversalRobot
+from koala3d.capture.sim.controller.process import SimulatedController
+from koala3d.datasets.recording import Recording
 from tests.capture.moving import FAR, UNHURRIED, in_motion, moves, rests, stopped_on_its_way
 from tests.moments import until
 

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from capture.cli import main
-from datasets.core import files
-from datasets.recording import Recording
+from koala3d.capture.cli import main
+from koala3d.datasets.core import files
+from koala3d.datasets.recording import Recording
 
 pytestmark = pytest.mark.client("koala")
 
@@ -46,7 +46,7 @@ def words_for(trajectory: Path, out: Path) -> list[str]:
 
 
 def command(trajectory: Path, out: Path) -> list[str]:
-    return [sys.executable, "-m", "capture.cli", *words_for(trajectory, out)]
+    return [sys.executable, "-m", "koala3d.capture.cli", *words_for(trajectory, out)]
 
 
 def run_whole(trajectory: Path, out: Path) -> float:

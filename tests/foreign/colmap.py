@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from datasets import pose
+from koala3d.datasets import pose
 from tests.foreign import photographs
 
 if TYPE_CHECKING:

@@ -22,8 +22,8 @@ from readers import read_all
 from sound import sound_inputs
 from watch import Watch, forget_peak, peak_bytes
 
-from datasets.core.errors import KoalaError
-from datasets.imaging import images
+from koala3d.datasets.core.errors import KoalaError
+from koala3d.datasets.imaging import images
 
 HEADROOM = 2**30
 """Address space beyond what a process needs anyway: the machine is not to suffer where a limit is missing [bytes]."""

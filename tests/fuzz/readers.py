@@ -6,23 +6,23 @@ from pathlib import Path
 import numpy as np
 from sound import example_state
 
-from calib.errors import TargetError
-from calib.sessions import importer
-from capture.recording.check import check as check_recording
-from capture.rig.description import load_rig
-from capture.trajectory import load_trajectory
-from datasets.build import build, extra_truth
-from datasets.calibration import Calibration
-from datasets.checks.check import check
-from datasets.core.errors import KoalaError
-from datasets.formats import WRITERS, load_scene, ply, save_scene
-from datasets.imaging import images
-from datasets.recording import Recording
-from datasets.scene import Scene
-from reconstruct import checkpoint
-from reconstruct.output import camera_path
-from reconstruct.output.mesh import reading
-from reconstruct.run import Run
+from koala3d.calib.errors import TargetError
+from koala3d.calib.sessions import importer
+from koala3d.capture.recording.check import check as check_recording
+from koala3d.capture.rig.description import load_rig
+from koala3d.capture.trajectory import load_trajectory
+from koala3d.datasets.build import build, extra_truth
+from koala3d.datasets.calibration import Calibration
+from koala3d.datasets.checks.check import check
+from koala3d.datasets.core.errors import KoalaError
+from koala3d.datasets.formats import WRITERS, load_scene, ply, save_scene
+from koala3d.datasets.imaging import images
+from koala3d.datasets.recording import Recording
+from koala3d.datasets.scene import Scene
+from koala3d.reconstruct import checkpoint
+from koala3d.reconstruct.output import camera_path
+from koala3d.reconstruct.output.mesh import reading
+from koala3d.reconstruct.run import Run
 
 SCENES = ("koala", "blender", "nerfstudio", "llff", "dtu", "colmap")
 

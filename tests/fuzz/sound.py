@@ -12,14 +12,14 @@ import equinox as eqx
 import numpy as np
 import yaml
 
-from datasets import pose
-from datasets.calibration import Calibration, LinkErrors, UncertainPose
-from datasets.camera_model import Camera
-from datasets.core import files
-from datasets.formats import ply, save_scene
-from datasets.imaging import images
-from datasets.recording import Frame, Recording
-from datasets.scene import Scene, Sightings, View
+from koala3d.datasets import pose
+from koala3d.datasets.calibration import Calibration, LinkErrors, UncertainPose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core import files
+from koala3d.datasets.formats import ply, save_scene
+from koala3d.datasets.imaging import images
+from koala3d.datasets.recording import Frame, Recording
+from koala3d.datasets.scene import Scene, Sightings, View
 
 PICTURES = (".png", ".jpg", ".tif", ".exr")
 LAYOUTS = ("koala", "blender", "nerfstudio", "llff", "dtu", "colmap", "colmap-text")
@@ -193,11 +193,11 @@ def _meshes(folder: Path) -> None:
 
 def _run(folder: Path) -> None:
     """A run with two checkpoints. Its state is small; only how it is stored matters here."""
-    from reconstruct import checkpoint
-    from reconstruct.config import Config
-    from reconstruct.run import Run
-    from reconstruct.scene.facts import SceneFacts
-    from reconstruct.scene.rays import Normalisation
+    from koala3d.reconstruct import checkpoint
+    from koala3d.reconstruct.config import Config
+    from koala3d.reconstruct.run import Run
+    from koala3d.reconstruct.scene.facts import SceneFacts
+    from koala3d.reconstruct.scene.rays import Normalisation
 
     shutil.rmtree(folder)
     normalisation = Normalisation((0.0, 0.0, 0.0), 1.0, True, 0.1, 2.0)

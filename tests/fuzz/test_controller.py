@@ -8,7 +8,7 @@ from types import ModuleType
 
 import pytest
 
-from capture.sim.controller.process import SimulatedController
+from koala3d.capture.sim.controller.process import SimulatedController
 
 ALL, SOME = 10_000, 300
 BYTES = 50 * 2**20

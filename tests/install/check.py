@@ -1,9 +1,9 @@
 """Install Koala for every Python on this machine and use what was installed: `make install-check`.
 
 Each Python gets a fresh virtual environment and a plain, not editable installation of everything that has wheels for it, from
-a copy of the checkout. Then the four commands print their help, a scene is made and read, a model trains for 20 steps, and the
-simulated arm records a calibration session through the robot client of this installation; the camera is calibrated from it.
-Standard library only.
+a copy of the checkout, after Hugging Face's `datasets`; that package is then installed once more, over Koala, and both are used. The
+four commands print their help, a scene is made and read, a model trains for 20 steps, and the simulated arm records a calibration
+session through the robot client of this installation; the camera is calibrated from it. Standard library only.
 """
 
 import argparse
@@ -21,6 +21,13 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 OLDEST = (3, 11)
 VIEWS = 12
+NEIGHBOUR = "datasets"
+"""Hugging Face's package, which has the name of one of our commands and folders. Most who train models have it."""
+BOTH = """
+import datasets
+from koala3d.datasets.camera_model import Camera
+assert datasets.Dataset.from_dict({"view": [0, 1]}).num_rows == 2 and Camera(4, 3, 5.0, 5.0, 2.0, 1.5).width == 4
+"""
 COMMANDS = ("capture", "calib", "datasets", "reconstruct")
 
 
@@ -66,7 +73,19 @@ class Installation:
         )
         lock = ROOT / "constraints" / f"python{self.version}.txt"
         constraint = ["--constraint", str(lock)] if lock.is_file() else []
-        self.run(str(self.bin / "python"), "-m", "pip", "install", "--quiet", "--no-compile", *constraint, f"{source}[all]")
+        self.pip(*constraint, NEIGHBOUR)
+        self.pip(*constraint, f"{source}[all]")
+
+    def pip(self, *words: str) -> None:
+        """Install something more into the environment."""
+        self.run(str(self.bin / "python"), "-m", "pip", "install", "--quiet", "--no-compile", *words)
+
+    def beside(self) -> str:
+        """Koala and Hugging Face's `datasets` work in one environment, whichever was installed last."""
+        self.run(str(self.bin / "python"), "-c", BOTH)
+        self.pip("--force-reinstall", "--no-deps", NEIGHBOUR)
+        self.run(str(self.bin / "python"), "-c", BOTH)
+        return "ok"
 
     def run(self, *command: str) -> str:
         """Standard output of a command. Raises CheckFailed where it fails."""
@@ -113,15 +132,20 @@ def check(version: str, python: Path) -> bool:
     """Check one Python; print one line per step. Whether all of them passed."""
     with tempfile.TemporaryDirectory(prefix="koala-install-") as folder:
         installed = Installation(Path(folder), version)
-        steps = {"install": lambda: installed.install(python) or "ok", "help": installed.help, "train": installed.train,
-                 "capture and calibrate": installed.calibrate}  # fmt: skip
+        steps = {
+            "install": lambda: installed.install(python) or "ok",
+            "beside another datasets": installed.beside,
+            "help": installed.help,
+            "train": installed.train,
+            "capture and calibrate": installed.calibrate,
+        }
         for name, step in steps.items():
             begun = time.monotonic()
             try:
                 said, passed = step(), True
             except CheckFailed as error:
                 said, passed = f"FAILED: {error}", False
-            sys.stdout.write(f"Python {version}  {name:<22} {time.monotonic() - begun:4.0f} s  {said}\n")
+            sys.stdout.write(f"Python {version}  {name:<24} {time.monotonic() - begun:4.0f} s  {said}\n")
             sys.stdout.flush()
             if not passed:
                 return False

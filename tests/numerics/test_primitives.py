@@ -13,25 +13,25 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.field.cloud import _perpendicular, gaussians_in_frustums
-from reconstruct.field.encodings.directional import integrated_directional_encoding, view_encoding
-from reconstruct.field.encodings.frequencies import Frequencies
-from reconstruct.field.encodings.lattice import PermutohedralLattice, ball_share
-from reconstruct.field.encodings.simplex import VERTICES_PER_UNIT_VOLUME
-from reconstruct.field.encodings.voxels import VoxelGrid, cube_share
-from reconstruct.field.parallax import ends_on_sphere
-from reconstruct.numerics import stepfun
-from reconstruct.numerics.lattice_constants import LIFT
-from reconstruct.numerics.safe import linear_from_srgb, normalise, safe_exp, safe_norm, srgb_from_linear
-from reconstruct.numerics.volume import volume_weights
-from reconstruct.sampling.packing import draw_probability
-from reconstruct.sampling.steps import Steps
-from reconstruct.scene.contraction import contract, contraction_scale, pull_back
-from reconstruct.scene.rays import Rays
-from reconstruct.scene.space import BALL, BOX
-from reconstruct.surface import first_surface, regularisers
-from reconstruct.training import losses
-from reconstruct.training.pace.schedules import encoding_blur, learning_rate
+from koala3d.reconstruct.field.cloud import _perpendicular, gaussians_in_frustums
+from koala3d.reconstruct.field.encodings.directional import integrated_directional_encoding, view_encoding
+from koala3d.reconstruct.field.encodings.frequencies import Frequencies
+from koala3d.reconstruct.field.encodings.lattice import PermutohedralLattice, ball_share
+from koala3d.reconstruct.field.encodings.simplex import VERTICES_PER_UNIT_VOLUME
+from koala3d.reconstruct.field.encodings.voxels import VoxelGrid, cube_share
+from koala3d.reconstruct.field.parallax import ends_on_sphere
+from koala3d.reconstruct.numerics import stepfun
+from koala3d.reconstruct.numerics.lattice_constants import LIFT
+from koala3d.reconstruct.numerics.safe import linear_from_srgb, normalise, safe_exp, safe_norm, srgb_from_linear
+from koala3d.reconstruct.numerics.volume import volume_weights
+from koala3d.reconstruct.sampling.packing import draw_probability
+from koala3d.reconstruct.sampling.steps import Steps
+from koala3d.reconstruct.scene.contraction import contract, contraction_scale, pull_back
+from koala3d.reconstruct.scene.rays import Rays
+from koala3d.reconstruct.scene.space import BALL, BOX
+from koala3d.reconstruct.surface import first_surface, regularisers
+from koala3d.reconstruct.training import losses
+from koala3d.reconstruct.training.pace.schedules import encoding_blur, learning_rate
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "numerics.md"
 RNG = np.random.default_rng(0)

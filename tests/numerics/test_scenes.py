@@ -9,14 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from datasets.core.console import progress
-from datasets.core.errors import DatasetError
-from datasets.imaging import images
-from datasets.scene import Scene
-from reconstruct.models import load_config
-from reconstruct.scene.facts import SceneFacts
-from reconstruct.scene.rays import BRIGHTEST, Normalisation, Pixels, read_scaled
-from reconstruct.training.step import Step
+from koala3d.datasets.core.console import progress
+from koala3d.datasets.core.errors import DatasetError
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import Scene
+from koala3d.reconstruct.models import load_config
+from koala3d.reconstruct.scene.facts import SceneFacts
+from koala3d.reconstruct.scene.rays import BRIGHTEST, Normalisation, Pixels, read_scaled
+from koala3d.reconstruct.training.step import Step
 
 SMALL = [
     "encoding.levels=3",

@@ -11,12 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct import models
-from reconstruct.config import Config
-from reconstruct.scene.facts import SceneFacts
-from reconstruct.scene.rays import Normalisation, Pixels
-from reconstruct.training.faults import FAULTS, cause
-from reconstruct.training.step import Step, TrainState
+from koala3d.reconstruct import models
+from koala3d.reconstruct.config import Config
+from koala3d.reconstruct.scene.facts import SceneFacts
+from koala3d.reconstruct.scene.rays import Normalisation, Pixels
+from koala3d.reconstruct.training.faults import FAULTS, cause
+from koala3d.reconstruct.training.step import Step, TrainState
 from tests.small import SIZES
 
 PIXELS, VIEWS, CHUNKS, STEPS = 1500, 5, 4, 6

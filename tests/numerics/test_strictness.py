@@ -9,22 +9,22 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.field.encodings.directional import integrated_directional_encoding
-from reconstruct.models import load_config
-from reconstruct.numerics.safe import normalise, safe_exp, safe_norm, srgb_from_linear
-from reconstruct.numerics.stepfun import inverse_power_ladder, power_ladder, resample_blurred, sample_intervals
-from reconstruct.numerics.volume import volume_weights
-from reconstruct.rendering.model import Model, render
-from reconstruct.sampling.samples import Footprint, RaySamples, cloud_of
-from reconstruct.scene.contraction import contract, contraction_scale, pull_back
-from reconstruct.scene.facts import SceneFacts
-from reconstruct.scene.rays import Normalisation, Rays
-from reconstruct.scene.space import BALL
-from reconstruct.surface import ball, first_surface, regularisers
-from reconstruct.surface.first_surface import Surfaces, find_surfaces
-from reconstruct.surface.place import Place
-from reconstruct.training import losses, objective
-from reconstruct.training.step import Step
+from koala3d.reconstruct.field.encodings.directional import integrated_directional_encoding
+from koala3d.reconstruct.models import load_config
+from koala3d.reconstruct.numerics.safe import normalise, safe_exp, safe_norm, srgb_from_linear
+from koala3d.reconstruct.numerics.stepfun import inverse_power_ladder, power_ladder, resample_blurred, sample_intervals
+from koala3d.reconstruct.numerics.volume import volume_weights
+from koala3d.reconstruct.rendering.model import Model, render
+from koala3d.reconstruct.sampling.samples import Footprint, RaySamples, cloud_of
+from koala3d.reconstruct.scene.contraction import contract, contraction_scale, pull_back
+from koala3d.reconstruct.scene.facts import SceneFacts
+from koala3d.reconstruct.scene.rays import Normalisation, Rays
+from koala3d.reconstruct.scene.space import BALL
+from koala3d.reconstruct.surface import ball, first_surface, regularisers
+from koala3d.reconstruct.surface.first_surface import Surfaces, find_surfaces
+from koala3d.reconstruct.surface.place import Place
+from koala3d.reconstruct.training import losses, objective
+from koala3d.reconstruct.training.step import Step
 
 FACTS = SceneFacts(Normalisation((0.0, 0.0, 0.0), 1.0, True, 1.0, 5.0))
 SMALL = [

@@ -12,31 +12,31 @@ import numpy as np
 import pytest
 import trimesh
 
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.formats import koala, load_scene
-from datasets.imaging import images
-from datasets.scene import Scene, View
-from reconstruct import checkpoint
-from reconstruct.config import Config
-from reconstruct.field.appearance import Material, Shading
-from reconstruct.field.cloud import Cloud
-from reconstruct.field.field import Field
-from reconstruct.field.lit import Lit
-from reconstruct.field.near import Near
-from reconstruct.kernels import native
-from reconstruct.models import load_config
-from reconstruct.numerics.safe import srgb_from_linear
-from reconstruct.output import evaluate
-from reconstruct.output.trained_model import TrainedModel
-from reconstruct.rendering.model import Model
-from reconstruct.rendering.pictures import Renderer
-from reconstruct.run import CHECKPOINTS, Run
-from reconstruct.sampling.occupancy import Occupancy
-from reconstruct.scene.facts import SceneFacts
-from reconstruct.scene.rays import Normalisation
-from reconstruct.scene.space import BOX
-from reconstruct.training.step import Step
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.formats import koala, load_scene
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import Scene, View
+from koala3d.reconstruct import checkpoint
+from koala3d.reconstruct.config import Config
+from koala3d.reconstruct.field.appearance import Material, Shading
+from koala3d.reconstruct.field.cloud import Cloud
+from koala3d.reconstruct.field.field import Field
+from koala3d.reconstruct.field.lit import Lit
+from koala3d.reconstruct.field.near import Near
+from koala3d.reconstruct.kernels import native
+from koala3d.reconstruct.models import load_config
+from koala3d.reconstruct.numerics.safe import srgb_from_linear
+from koala3d.reconstruct.output import evaluate
+from koala3d.reconstruct.output.trained_model import TrainedModel
+from koala3d.reconstruct.rendering.model import Model
+from koala3d.reconstruct.rendering.pictures import Renderer
+from koala3d.reconstruct.run import CHECKPOINTS, Run
+from koala3d.reconstruct.sampling.occupancy import Occupancy
+from koala3d.reconstruct.scene.facts import SceneFacts
+from koala3d.reconstruct.scene.rays import Normalisation
+from koala3d.reconstruct.scene.space import BOX
+from koala3d.reconstruct.training.step import Step
 from tests.reconstruct import glossy_ball
 from tests.small import Trainable
 from tests.unoptimised import unoptimised as unoptimised

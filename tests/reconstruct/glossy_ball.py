@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.formats import koala
-from datasets.imaging import images
-from datasets.scene import Scene, View
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.formats import koala
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import Scene, View
 
 CAMERA = Camera(56, 56, 84.0, 84.0, 28.0, 28.0)
 RADIUS, DISTANCE = 0.08, 0.3

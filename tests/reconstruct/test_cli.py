@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 import trimesh
 
-from reconstruct.cli import main
-from reconstruct.models import names
-from reconstruct.run import Run
+from koala3d.reconstruct.cli import main
+from koala3d.reconstruct.models import names
+from koala3d.reconstruct.run import Run
 
 
 @pytest.fixture
@@ -18,7 +18,7 @@ def command(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> Callable[..., tuple[int, str, str]]:
     """Run the command inside this process; returns exit code, output and errors."""
-    monkeypatch.setattr("reconstruct.backend.cache_compilations", lambda: None)
+    monkeypatch.setattr("koala3d.reconstruct.backend.cache_compilations", lambda: None)
 
     def run(*arguments: object) -> tuple[int, str, str]:
         monkeypatch.setattr(sys, "argv", ["reconstruct", *map(str, arguments)])

@@ -1,4 +1,4 @@
-from reconstruct.config import Config, LossConfig, SurfaceConfig
+from koala3d.reconstruct.config import Config, LossConfig, SurfaceConfig
 
 
 def test_every_setting_is_described() -> None:

@@ -1,6 +1,6 @@
 import numpy as np
 
-from reconstruct.convergence import early_warning, figures_of, find
+from koala3d.reconstruct.convergence import early_warning, figures_of, find
 
 
 def log(train: np.ndarray, unseen: np.ndarray | None = None, every_s: float = 5.0) -> list[dict]:

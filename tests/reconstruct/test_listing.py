@@ -2,8 +2,8 @@
 
 import pytest
 
-from reconstruct import listing
-from reconstruct.models import load_config
+from koala3d.reconstruct import listing
+from koala3d.reconstruct.models import load_config
 
 
 def test_every_listed_default_is_accepted_by_set_and_changes_nothing() -> None:

@@ -4,9 +4,9 @@ from typing import Any
 import pytest
 import yaml
 
-from datasets.core.errors import UsageError
-from reconstruct.config import Config, LossConfig
-from reconstruct.models import load_config, merged, names, over_run, overview
+from koala3d.datasets.core.errors import UsageError
+from koala3d.reconstruct.config import Config, LossConfig
+from koala3d.reconstruct.models import load_config, merged, names, over_run, overview
 
 PRESETS = ("fast", "paper")
 MODELS = names()

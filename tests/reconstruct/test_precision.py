@@ -7,15 +7,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from datasets.scene import Scene
-from reconstruct.field.cloud import points_on_rays
-from reconstruct.field.mlp import computed_in
-from reconstruct.models import merged_config
-from reconstruct.rendering.model import render
-from reconstruct.sampling.samples import RaySamples
-from reconstruct.scene.rays import Rays
-from reconstruct.scene.space import BOX
-from reconstruct.training.step import TrainState
+from koala3d.datasets.scene import Scene
+from koala3d.reconstruct.field.cloud import points_on_rays
+from koala3d.reconstruct.field.mlp import computed_in
+from koala3d.reconstruct.models import merged_config
+from koala3d.reconstruct.rendering.model import render
+from koala3d.reconstruct.sampling.samples import RaySamples
+from koala3d.reconstruct.scene.rays import Rays
+from koala3d.reconstruct.scene.space import BOX
+from koala3d.reconstruct.training.step import TrainState
 from tests.small import Trainable, small
 
 STEPS = 80

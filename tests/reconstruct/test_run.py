@@ -8,12 +8,12 @@ import jax
 import numpy as np
 import pytest
 
-from reconstruct import checkpoint
-from reconstruct.output.trained_model import TrainedModel
-from reconstruct.run import CHECKPOINTS, Run
-from reconstruct.scene.facts import SceneFacts
-from reconstruct.scene.rays import Normalisation
-from reconstruct.training.step import Step
+from koala3d.reconstruct import checkpoint
+from koala3d.reconstruct.output.trained_model import TrainedModel
+from koala3d.reconstruct.run import CHECKPOINTS, Run
+from koala3d.reconstruct.scene.facts import SceneFacts
+from koala3d.reconstruct.scene.rays import Normalisation
+from koala3d.reconstruct.training.step import Step
 
 
 def test_the_box_that_was_measured_for_the_training_is_the_box_of_the_run(ball_scene, small_config, tmp_path):

@@ -6,13 +6,13 @@ from typing import Any
 
 import pytest
 
-from capture.page import report as recording_report
-from capture.planning import Obstacles, draw, plan
-from capture.rig.description import RigDescription
-from capture.trajectory import load_trajectory
-from datasets.calibration import Calibration
-from datasets.formats import koala
-from datasets.reports import scene as scene_report
+from koala3d.capture.page import report as recording_report
+from koala3d.capture.planning import Obstacles, draw, plan
+from koala3d.capture.rig.description import RigDescription
+from koala3d.capture.trajectory import load_trajectory
+from koala3d.datasets.calibration import Calibration
+from koala3d.datasets.formats import koala
+from koala3d.datasets.reports import scene as scene_report
 from tests.browser import Browse
 
 ROOT = Path(__file__).parents[2]
@@ -27,8 +27,8 @@ def of_recording(fixture: Fixture, out: Path) -> Path:
 
 
 def of_calibration(fixture: Fixture, out: Path) -> Path:
-    from calib.page import report
-    from calib.study.simulate import KOALA
+    from koala3d.calib.page import report
+    from koala3d.calib.study.simulate import KOALA
     from tests.calib.page.test_report import evidence_of
 
     report.page(evidence_of(Calibration(KOALA.camera, {}))).write(out / "page.html")
@@ -42,21 +42,21 @@ def of_scene(fixture: Fixture, out: Path) -> Path:
 
 
 def of_run(fixture: Fixture, out: Path) -> Path:
-    from reconstruct.output import report
+    from koala3d.reconstruct.output import report
 
     fixture("without_mesh")
     return Path(report.write(fixture("ball"), out / "page")["report"])
 
 
 def of_diagnosis(fixture: Fixture, out: Path) -> Path:
-    from reconstruct.diagnosis.diagnose import diagnose, write
+    from koala3d.reconstruct.diagnosis.diagnose import diagnose, write
 
     return write(diagnose(fixture("ball"), pictures=False), fixture("ball"), out / "page")
 
 
 def of_study(fixture: Fixture, out: Path) -> Path:
-    from reconstruct.studies import ablate
-    from reconstruct.studies.results import Row
+    from koala3d.reconstruct.studies import ablate
+    from koala3d.reconstruct.studies.results import Row
 
     study = ablate.plan(str(fixture("ball_scene")[1]), "surfnerf", "fast", [], None, ["k = 1"])
     rows = [Row("ball", name, {"psnr": psnr}) for name, psnr in zip(study.cells, (20.0, 21.0), strict=True)]
@@ -65,9 +65,9 @@ def of_study(fixture: Fixture, out: Path) -> Path:
 
 
 def of_benchmark(fixture: Fixture, out: Path) -> Path:
-    from reconstruct.bench import report
-    from reconstruct.bench.records import Records
-    from reconstruct.bench.runner import RECORDS
+    from koala3d.reconstruct.bench import report
+    from koala3d.reconstruct.bench.records import Records
+    from koala3d.reconstruct.bench.runner import RECORDS
 
     records = Records(out / RECORDS)
     for scene in ("chrome_ball", "gold_head"):

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets import pose
-from datasets.calibration import Calibration, UncertainPose
-from datasets.camera_model import Camera
-from datasets.formats import koala
-from datasets.page import open_page, shapes
-from datasets.scene import Scene
+from koala3d.datasets import pose
+from koala3d.datasets.calibration import Calibration, UncertainPose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.formats import koala
+from koala3d.datasets.page import open_page, shapes
+from koala3d.datasets.scene import Scene
 from tests.browser import Browse
 
 pytestmark = pytest.mark.timeout(600)
@@ -37,7 +37,9 @@ def test_a_command_serves_several_browsers_and_ends_on_ctrl_c(
 ) -> None:
     """The image of a view appears only in the panel of the browser that selected it."""
     koala.save(make_scene(), tmp_path / "scene")
-    code = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); from datasets.cli import main; main()"
+    code = (
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\nfrom koala3d.datasets.cli import main; main()"
+    )
     command = [sys.executable, "-c", code, "view", str(tmp_path / "scene"), "--port", "0", "--quick", "--json"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
@@ -58,7 +60,7 @@ def test_a_command_serves_several_browsers_and_ends_on_ctrl_c(
 
 def test_a_scene_shows_its_cameras_and_is_measured(make_scene: Callable[..., Scene], browse: Browse) -> None:
     """Cameras have the colours of their splits; the ruler takes the one point, on which all cameras look."""
-    from datasets.page.view import SceneView
+    from koala3d.datasets.page.view import SceneView
 
     with open_page("scene", 0) as page:
         SceneView(page, replace(make_scene(), points=np.zeros((1, 3)))).add_thumbnails()
@@ -88,10 +90,10 @@ safety: {workspace: {centre: [0.45, 0, 0.4], size: [1.0, 1.2, 0.8]}}
 
 
 def test_a_trajectory_shows_the_moving_arm_and_blocked_views(tmp_path: Path, browse: Browse) -> None:
-    from capture.page.session import SAFETY, CaptureView
-    from capture.page.timeline import of_trajectory
-    from capture.rig.description import RigDescription
-    from capture.trajectory import load_trajectory
+    from koala3d.capture.page.session import SAFETY, CaptureView
+    from koala3d.capture.page.timeline import of_trajectory
+    from koala3d.capture.rig.description import RigDescription
+    from koala3d.capture.trajectory import load_trajectory
 
     (tmp_path / "t.yaml").write_text(TRAJECTORY)
     trajectory, mount = load_trajectory(tmp_path / "t.yaml"), RigDescription().carrier()
@@ -115,7 +117,7 @@ def test_a_trajectory_shows_the_moving_arm_and_blocked_views(tmp_path: Path, bro
 
 def test_a_calibration_shows_its_target_and_what_is_missing(browse: Browse) -> None:
     """Without its recording, the page has the target, the uncertainty, and a sentence on the missing recording."""
-    from calib.page.view import show
+    from koala3d.calib.page.view import show
 
     known = UncertainPose(pose.from_rotation_vector([np.pi, 0, 0], [0.3, 0.1, 0.0]), np.diag([1e-9] * 3 + [1e-8] * 3))
     size = {"squares_x": 9, "squares_y": 7, "square_length_m": 0.03, "marker_length_m": 0.022}
@@ -138,8 +140,8 @@ def test_a_calibration_shows_its_target_and_what_is_missing(browse: Browse) -> N
 
 def test_masks_are_painted_with_a_brush_and_cut_again(make_scene: Callable[..., Scene], tmp_path: Path, browse: Browse) -> None:
     """A click on the picture is a green dot; the scene is cut with it and written."""
-    from datasets.segmentation.grow import Grower
-    from datasets.segmentation.page.brush import COLOURS, MaskPage
+    from koala3d.datasets.segmentation.grow import Grower
+    from koala3d.datasets.segmentation.page.brush import COLOURS, MaskPage
 
     grower = Grower(make_scene())
     with open_page("masks", 0) as page:

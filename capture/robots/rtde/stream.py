@@ -7,8 +7,8 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from capture.robots.rtde import wire
-from capture.robots.rtde.wire import Recipe, packet
+from koala3d.capture.robots.rtde import wire
+from koala3d.capture.robots.rtde.wire import Recipe, packet
 
 PORT = 30004
 REPLY_S = 2.0

@@ -1,4 +1,4 @@
-"""The process that is the simulated controller: `python -m capture.sim.controller._child '{"seed": 0, ...}'`.
+"""The process that is the simulated controller: `python -m koala3d.capture.sim.controller._child '{"seed": 0, ...}'`.
 
 Prints {"host": ..., "side_port": ...} once all ports accept. Ends with standard input, so that it never outlives its parent.
 """
@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from capture.arms.model import load_arm
-from capture.sim.controller import primary, side_channel
-from capture.sim.controller.arm import Arm
-from capture.sim.controller.installation import Installation
-from capture.sim.controller.server import DASHBOARD_PORT, RTDE_PORT, SCRIPT_PORT, ControllerServer
-from capture.sim.controller.session import CYCLE_HZ
+from koala3d.capture.arms.model import load_arm
+from koala3d.capture.sim.controller import primary, side_channel
+from koala3d.capture.sim.controller.arm import Arm
+from koala3d.capture.sim.controller.installation import Installation
+from koala3d.capture.sim.controller.server import DASHBOARD_PORT, RTDE_PORT, SCRIPT_PORT, ControllerServer
+from koala3d.capture.sim.controller.session import CYCLE_HZ
 
 ONLY_HOST = "127.0.0.1"  # the only loopback address that macOS has by default
 

@@ -10,11 +10,11 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.arms.model import DEFAULT, ArmModel, load_arm
-from capture.kinematics import Links, forward
-from capture.sim.controller.profiles import Chain, Joints, Move, Profile, Stop
-from capture.sim.controller.tempo import Tempo
-from datasets import pose
+from koala3d.capture.arms.model import DEFAULT, ArmModel, load_arm
+from koala3d.capture.kinematics import Links, forward
+from koala3d.capture.sim.controller.profiles import Chain, Joints, Move, Profile, Stop
+from koala3d.capture.sim.controller.tempo import Tempo
+from koala3d.datasets import pose
 
 SAFETY_DECELERATION = 10.0  # of the fastest joint when the arm is stopped for safety [rad/s^2]
 PAUSE_S = 0.3  # a paused motion slows down on its path within this time, and speeds up within it when it is resumed [s]

@@ -2,10 +2,10 @@
 
 from typing import TYPE_CHECKING
 
-from capture.sim.controller.arm import Arm, RobotMode, Safety
+from koala3d.capture.sim.controller.arm import Arm, RobotMode, Safety
 
 if TYPE_CHECKING:
-    from capture.sim.controller.server import ControllerServer
+    from koala3d.capture.sim.controller.server import ControllerServer
 
 GREETING = "Connected: Universal Robots Dashboard Server"
 

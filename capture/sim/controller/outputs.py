@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from capture.kinematics import forward, link_frames
-from capture.robots.rtde import wire
-from capture.sim.controller.arm import RobotMode, Safety
-from capture.sim.controller.profiles import Joints
+from koala3d.capture.kinematics import forward, link_frames
+from koala3d.capture.robots.rtde import wire
+from koala3d.capture.sim.controller.arm import RobotMode, Safety
+from koala3d.capture.sim.controller.profiles import Joints
 
 if TYPE_CHECKING:
-    from capture.sim.controller.server import ControllerServer
+    from koala3d.capture.sim.controller.server import ControllerServer
 
 STOPPED_STATE, RUNNING_STATE, PAUSED_STATE = 1, 2, 4
 SAFETY_BITS = {

@@ -3,10 +3,10 @@
 import asyncio
 import struct
 
-from capture.kinematics import six_from_pose
-from capture.robots import primary
-from capture.robots.primary import package
-from capture.sim.controller.server import ControllerServer, closing
+from koala3d.capture.kinematics import six_from_pose
+from koala3d.capture.robots import primary
+from koala3d.capture.robots.primary import package
+from koala3d.capture.sim.controller.server import ControllerServer, closing
 
 PORTS = (30001, 30002)
 PERIOD_S = 0.1

@@ -16,10 +16,10 @@ from typing import IO, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.arms.model import DEFAULT, load_arm
-from capture.errors import SimulationError
-from capture.sim.controller.handle import ControllerHandle
-from datasets.core.errors import UsageError
+from koala3d.capture.arms.model import DEFAULT, load_arm
+from koala3d.capture.errors import SimulationError
+from koala3d.capture.sim.controller.handle import ControllerHandle
+from koala3d.datasets.core.errors import UsageError
 
 START_TIMEOUT_S = 20.0
 HOME = (0.0, -np.pi / 2, 0.0, -np.pi / 2, 0.0, 0.0)  # joint angles at the start: stretched upwards [rad]
@@ -133,7 +133,7 @@ def _launch(options: dict[str, Any]) -> tuple["subprocess.Popen[bytes]", dict[st
     """The process, what it reports once its ports accept (empty: it ended), and its error output."""
     output = tempfile.TemporaryFile()
     process = subprocess.Popen(
-        [sys.executable, "-m", "capture.sim.controller._child", json.dumps(options)],
+        [sys.executable, "-m", "koala3d.capture.sim.controller._child", json.dumps(options)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=output,

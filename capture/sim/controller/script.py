@@ -12,10 +12,10 @@ from collections.abc import Callable, Generator
 import numpy as np
 from numpy.typing import NDArray
 
-from capture import kinematics
-from capture.kinematics import Joints, pose_from_six, six_from_pose
-from capture.sim.controller.arm import Arm, Safety
-from datasets import pose
+from koala3d.capture import kinematics
+from koala3d.capture.kinematics import Joints, pose_from_six, six_from_pose
+from koala3d.capture.sim.controller.arm import Arm, Safety
+from koala3d.datasets import pose
 
 log = logging.getLogger(__name__)
 READY, DONE, END = 1, 2, 255

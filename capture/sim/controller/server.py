@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from capture.kinematics import six_from_pose
-from capture.robots.rtde import wire
-from capture.sim.controller import dashboard, script
-from capture.sim.controller.arm import Arm
-from capture.sim.controller.installation import Installation
-from capture.sim.controller.outputs import Outputs
-from capture.sim.controller.session import Session
+from koala3d.capture.kinematics import six_from_pose
+from koala3d.capture.robots.rtde import wire
+from koala3d.capture.sim.controller import dashboard, script
+from koala3d.capture.sim.controller.arm import Arm
+from koala3d.capture.sim.controller.installation import Installation
+from koala3d.capture.sim.controller.outputs import Outputs
+from koala3d.capture.sim.controller.session import Session
 
 RTDE_PORT, SCRIPT_PORT, DASHBOARD_PORT = 30004, 30003, 29999
 SIMULATED_INPUTS = ("standard_digital_output", "standard_digital_output_mask", "speed_slider_fraction", "speed_slider_mask")

@@ -4,12 +4,12 @@ import asyncio
 import struct
 from typing import TYPE_CHECKING
 
-from capture.robots.rtde import wire
-from capture.robots.rtde.wire import Recipe, packet
+from koala3d.capture.robots.rtde import wire
+from koala3d.capture.robots.rtde.wire import Recipe, packet
 
 if TYPE_CHECKING:
-    from capture.sim.controller.outputs import Outputs
-    from capture.sim.controller.server import ControllerServer
+    from koala3d.capture.sim.controller.outputs import Outputs
+    from koala3d.capture.sim.controller.server import ControllerServer
 
 CYCLE_HZ = 500
 MAX_UNREAD = 1 << 20  # a client that leaves this many bytes unread is cut off

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from capture.arms.model import load_arm
-from capture.kinematics import JOINT_LIMIT, pose_from_six
-from capture.sim.controller.arm import RobotMode, Safety
-from capture.sim.controller.installation import Installation
-from capture.sim.controller.server import ControllerServer, closing
+from koala3d.capture.arms.model import load_arm
+from koala3d.capture.kinematics import JOINT_LIMIT, pose_from_six
+from koala3d.capture.sim.controller.arm import RobotMode, Safety
+from koala3d.capture.sim.controller.installation import Installation
+from koala3d.capture.sim.controller.server import ControllerServer, closing
 
 
 async def serve(server: ControllerServer, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:

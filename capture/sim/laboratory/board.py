@@ -6,12 +6,12 @@ from functools import cache, cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.sim.laboratory import textures
-from capture.sim.laboratory.lens import Lens
-from capture.sim.laboratory.scenes import TABLE_SIZE
-from datasets import pose
-from datasets.targets.board import Board
-from datasets.targets.pattern import Pattern
+from koala3d.capture.sim.laboratory import textures
+from koala3d.capture.sim.laboratory.lens import Lens
+from koala3d.capture.sim.laboratory.scenes import TABLE_SIZE
+from koala3d.datasets import pose
+from koala3d.datasets.targets.board import Board
+from koala3d.datasets.targets.pattern import Pattern
 
 INK, PAPER = 0.04, 0.95  # radiance of black and white, relative to the lamps
 DARK = 0.1  # radiance where nothing is

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from datasets.core.schema import Schema
-from datasets.imaging.region import Region
+from koala3d.datasets.core.schema import Schema
+from koala3d.datasets.imaging.region import Region
 
 RATES = (0.02, 0.6)
 """Dark current of a hot pixel [full wells in 10 ms], drawn evenly in the logarithm."""

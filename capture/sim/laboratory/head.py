@@ -10,7 +10,7 @@ import numpy as np
 import trimesh
 from skimage.measure import marching_cubes
 
-from capture.sim.laboratory.solids import Field, carved, drum, ellipsoid, joined, rod, sphere
+from koala3d.capture.sim.laboratory.solids import Field, carved, drum, ellipsoid, joined, rod, sphere
 
 LOWER, UPPER = np.array([-10.0, -8.0, -0.6]), np.array([10.0, 8.0, 27.0])
 

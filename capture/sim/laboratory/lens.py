@@ -13,9 +13,9 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.sim.laboratory.flaws import SensorMaps
-from datasets.camera_model import Camera
-from datasets.imaging.images import srgb_from_linear, to_uint8
+from koala3d.capture.sim.laboratory.flaws import SensorMaps
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.imaging.images import srgb_from_linear, to_uint8
 
 Picture = NDArray[np.floating]
 MARGIN = 1  # pixels that the pinhole picture extends beyond the border of the camera, for interpolation

@@ -9,7 +9,7 @@ import numpy as np
 import trimesh
 from numpy.typing import ArrayLike, NDArray
 
-from capture.sim.laboratory.materials import Glass, Material, Matt, Metal, Plastic
+from koala3d.capture.sim.laboratory.materials import Glass, Material, Matt, Metal, Plastic
 
 Part = tuple[str, trimesh.Trimesh, Material, bool]  # name, mesh, material, and whether the mesh carries smooth normals
 SECTIONS = 96  # number of sides of round parts

@@ -7,10 +7,10 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.sim.laboratory.lens import strips
-from capture.sim.laboratory.materials import Glass, Material, Metal, Plastic
-from capture.sim.laboratory.scenes import STILL, Item, Stage
-from datasets.camera_model import Camera
+from koala3d.capture.sim.laboratory.lens import strips
+from koala3d.capture.sim.laboratory.materials import Glass, Material, Metal, Plastic
+from koala3d.capture.sim.laboratory.scenes import STILL, Item, Stage
+from koala3d.datasets.camera_model import Camera
 
 MAX_DEPTH = 3  # edges of a light path: camera - object - table - light
 CLEAR_DEPTH = 8  # the same with glass, which light enters and leaves several times

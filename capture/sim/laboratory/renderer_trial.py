@@ -1,16 +1,16 @@
 """Renders a small picture with all features that the simulation uses, then exits with 0. Run in a child, which may crash.
 
-python -m capture.sim.laboratory.renderer_trial llvm_ad_rgb
+python -m koala3d.capture.sim.laboratory.renderer_trial llvm_ad_rgb
 """
 
 import sys
 
 import numpy as np
 
-from capture.sim.laboratory.renderer import Renderer
-from capture.sim.laboratory.scenes import stage
-from datasets import pose
-from datasets.camera_model import Camera
+from koala3d.capture.sim.laboratory.renderer import Renderer
+from koala3d.capture.sim.laboratory.scenes import stage
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
 
 
 def main(variant: str) -> int:

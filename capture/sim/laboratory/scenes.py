@@ -9,10 +9,10 @@ import numpy as np
 import trimesh
 from numpy.typing import ArrayLike, NDArray
 
-from capture.errors import SimulationError
-from capture.sim.laboratory import objects, textures
-from capture.sim.laboratory.materials import Glass, Material, Matt, Metal
-from datasets.core.errors import UsageError, nearest
+from koala3d.capture.errors import SimulationError
+from koala3d.capture.sim.laboratory import objects, textures
+from koala3d.capture.sim.laboratory.materials import Glass, Material, Matt, Metal
+from koala3d.datasets.core.errors import UsageError, nearest
 
 SCENES = {
     "gold_head": "a life-like head of rough gold on a plinth",
@@ -89,7 +89,7 @@ def stage(name: str, *, centre: ArrayLike, size: ArrayLike, seed: int) -> Stage:
 def _parts(name: str, rng: np.random.Generator) -> list[objects.Part]:
     """Meshes of the object [m], a material each, around the origin."""
     if name == "gold_head":
-        from capture.sim.laboratory.head import head_mesh
+        from koala3d.capture.sim.laboratory.head import head_mesh
 
         mesh = head_mesh().copy()
         mesh.apply_transform(trimesh.transformations.rotation_matrix(np.pi, [0, 0, 1]))  # faces the robot

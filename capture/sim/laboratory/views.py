@@ -11,15 +11,15 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from capture.errors import SimulationError
-from capture.sim.laboratory.board import BoardPicture
-from capture.sim.laboratory.lens import Lens, strips
-from capture.sim.laboratory.scenes import CARDS, Stage, check_name, stage
-from capture.trajectory import Trajectory
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.core.errors import UsageError
-from datasets.core.mitsuba_variant import variant
+from koala3d.capture.errors import SimulationError
+from koala3d.capture.sim.laboratory.board import BoardPicture
+from koala3d.capture.sim.laboratory.lens import Lens, strips
+from koala3d.capture.sim.laboratory.scenes import CARDS, Stage, check_name, stage
+from koala3d.capture.trajectory import Trajectory
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.core.mitsuba_variant import variant
 
 Maps = dict[str, NDArray[np.floating]]
 SAMPLES = 9
@@ -27,7 +27,7 @@ SAMPLES = 9
 FULL_SAMPLES = 4  # the same without binning, where the sensor noise of a pixel is higher
 FINE = 2  # samples of the true surfaces per pixel of the pinhole picture, along each axis
 RAYS_AT_ONCE = 4_000_000
-TRIAL = "capture.sim.laboratory.renderer_trial"
+TRIAL = "koala3d.capture.sim.laboratory.renderer_trial"
 
 
 class View(Protocol):
@@ -108,7 +108,7 @@ class ObjectView:
     def _renderer(self) -> Any:
         chosen = variant(TRIAL)  # Mitsuba loads LLVM as it is imported: which one is decided before
 
-        from capture.sim.laboratory.renderer import Renderer
+        from koala3d.capture.sim.laboratory.renderer import Renderer
 
         return Renderer(self.stage, using=chosen)
 

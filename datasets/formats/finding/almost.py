@@ -5,9 +5,9 @@ from collections.abc import Callable, Iterator
 from itertools import islice
 from pathlib import Path
 
-from datasets.core.errors import UsageError
-from datasets.formats.finding import models, pictures
-from datasets.formats.finding.pictures import Listing, homes
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.formats.finding import models, pictures
+from koala3d.datasets.formats.finding.pictures import Listing, homes
 
 MOST_FOLDERS = 200
 """Number of inner folders in which a scene is sought."""

@@ -4,9 +4,9 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from datasets.core import files
-from datasets.core.errors import DatasetError
-from datasets.formats.finding.pictures import HOMES, Listing
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import DatasetError
+from koala3d.datasets.formats.finding.pictures import HOMES, Listing
 
 KINDS = ("mask", "alpha", "matte", "silhouette", "segmentation", "foreground")
 """What folders of masks are called, also in the plural, after `images_` or `object_`, and with a number as of smaller images."""

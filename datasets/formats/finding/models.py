@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from datasets.core import files
-from datasets.core.errors import DatasetError
-from datasets.formats.colmap_files import count_images
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import DatasetError
+from koala3d.datasets.formats.colmap_files import count_images
 
 PLACES = (
     "sparse/*", "sparse", "colmap/sparse/*", "colmap/sparse", "colmap",

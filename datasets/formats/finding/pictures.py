@@ -4,8 +4,8 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from datasets.core import files
-from datasets.core.errors import DatasetError, UsageError
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import DatasetError, UsageError
 
 PICTURES = frozenset({".jpg", ".jpeg", ".png", ".exr", ".tif", ".tiff"})
 """Suffixes of images, in lower case."""

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import conventions
-from datasets.core import arrays, files
-from datasets.core.errors import DatasetError
-from datasets.imaging import images
-from datasets.process.pictures import markers
-from datasets.process.pictures.markers import Marker
+from koala3d.datasets import conventions
+from koala3d.datasets.core import arrays, files
+from koala3d.datasets.core.errors import DatasetError
+from koala3d.datasets.imaging import images
+from koala3d.datasets.process.pictures import markers
+from koala3d.datasets.process.pictures.markers import Marker
 
 SIDE = 1200
 """Longest side of the pictures that are searched [px]."""

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.core.errors import DatasetError, UsageError
-from datasets.core.files import atomic_folder
-from datasets.core.progress import Count, ignore
-from datasets.imaging import images
+from koala3d.datasets.core.errors import DatasetError, UsageError
+from koala3d.datasets.core.files import atomic_folder
+from koala3d.datasets.core.progress import Count, ignore
+from koala3d.datasets.imaging import images
 
 SUFFIXES = frozenset({".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mts", ".mpg", ".mpeg", ".3gp"})
 SIDE = 480

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import conventions
-from datasets.scene import View
-from datasets.structure.triangulate import meeting_point
+from koala3d.datasets import conventions
+from koala3d.datasets.scene import View
+from koala3d.datasets.structure.triangulate import meeting_point
 
 DICTIONARIES = (
     "4X4_1000", "5X5_1000", "6X6_1000", "7X7_1000", "ARUCO_ORIGINAL", "ARUCO_MIP_36h12",

@@ -4,10 +4,10 @@ from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
-from datasets.core.errors import DatasetError, UsageError
-from datasets.imaging import images
-from datasets.process.pictures import exif
-from datasets.scene import checked_name
+from koala3d.datasets.core.errors import DatasetError, UsageError
+from koala3d.datasets.imaging import images
+from koala3d.datasets.process.pictures import exif
+from koala3d.datasets.scene import checked_name
 
 SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"})
 SHARING = ("auto", "size", "each")

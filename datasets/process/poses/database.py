@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from datasets.core import files
-from datasets.core.errors import UsageError
-from datasets.core.progress import Count, ignore
-from datasets.process.pictures.features import Features
-from datasets.process.pictures.photographs import Photograph
-from datasets.process.poses.pairs import Pairs
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.core.progress import Count, ignore
+from koala3d.datasets.process.pictures.features import Features
+from koala3d.datasets.process.pictures.photographs import Photograph
+from koala3d.datasets.process.poses.pairs import Pairs
 
 if TYPE_CHECKING:
     import pycolmap

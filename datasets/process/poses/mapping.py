@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from datasets import pose
-from datasets.core import files
-from datasets.core.progress import Step, ignore
+from koala3d.datasets import pose
+from koala3d.datasets.core import files
+from koala3d.datasets.core.progress import Step, ignore
 
 if TYPE_CHECKING:
     import pycolmap

@@ -5,8 +5,8 @@ from itertools import combinations
 
 import numpy as np
 
-from datasets.core.progress import Step, ignore
-from datasets.process.pictures.features import Features
+from koala3d.datasets.core.progress import Step, ignore
+from koala3d.datasets.process.pictures.features import Features
 
 Pairs = list[tuple[int, int]]
 

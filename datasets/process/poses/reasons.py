@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from datasets.process.poses.database import FEWEST_MATCHES, Picture
+from koala3d.datasets.process.poses.database import FEWEST_MATCHES, Picture
 
 FEWEST_FEATURES = 100
 """A picture with fewer features shows too little that can be found again."""

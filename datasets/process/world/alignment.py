@@ -6,15 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets.core.errors import UsageError
-from datasets.formats import assemble
-from datasets.process.pictures import markers
-from datasets.process.pictures.markers import Marker
-from datasets.process.world import scale, up
-from datasets.process.world.scale import KnownLength
-from datasets.process.world.similarity import Similarity, upwards
-from datasets.scene import Scene
-from datasets.structure import bounds
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.formats import assemble
+from koala3d.datasets.process.pictures import markers
+from koala3d.datasets.process.pictures.markers import Marker
+from koala3d.datasets.process.world import scale, up
+from koala3d.datasets.process.world.scale import KnownLength
+from koala3d.datasets.process.world.similarity import Similarity, upwards
+from koala3d.datasets.scene import Scene
+from koala3d.datasets.structure import bounds
 
 
 @dataclass(frozen=True)

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import pose
-from datasets.core import files
-from datasets.core.errors import UsageError
-from datasets.process.world.similarity import between
-from datasets.scene import Scene, View
-from datasets.structure import bounds
+from koala3d.datasets import pose
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.process.world.similarity import between
+from koala3d.datasets.scene import Scene, View
+from koala3d.datasets.structure import bounds
 
 FEWEST = 3
 """Views that determine a similarity."""

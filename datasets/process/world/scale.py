@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import pose
-from datasets.core import files
-from datasets.core.errors import DatasetError, UsageError, nearest
-from datasets.process.pictures.markers import Placed
-from datasets.process.world import similarity
-from datasets.process.world.similarity import Similarity
-from datasets.scene import View
-from datasets.structure.triangulate import meeting_point
+from koala3d.datasets import pose
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import DatasetError, UsageError, nearest
+from koala3d.datasets.process.pictures.markers import Placed
+from koala3d.datasets.process.world import similarity
+from koala3d.datasets.process.world.similarity import Similarity
+from koala3d.datasets.scene import View
+from koala3d.datasets.structure.triangulate import meeting_point
 
 Array = NDArray[np.float64]
 

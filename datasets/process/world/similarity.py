@@ -6,8 +6,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from datasets import pose
-from datasets.scene import View
+from koala3d.datasets import pose
+from koala3d.datasets.scene import View
 
 Array = NDArray[np.float64]
 

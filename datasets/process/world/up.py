@@ -9,8 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.process.pictures.markers import Placed
-from datasets.scene import View
+from koala3d.datasets.process.pictures.markers import Placed
+from koala3d.datasets.scene import View
 
 Array = NDArray[np.float64]
 

@@ -7,13 +7,13 @@ import numpy as np
 import viser
 from numpy.typing import ArrayLike, NDArray
 
-from datasets.core.progress import ignore
-from datasets.formats.links import Extra
-from datasets.page import shapes
-from datasets.page.server import Page
-from datasets.segmentation.grow import Grower, Grown
-from datasets.segmentation.strokes import Stroke
-from datasets.segmentation.write import write
+from koala3d.datasets.core.progress import ignore
+from koala3d.datasets.formats.links import Extra
+from koala3d.datasets.page import shapes
+from koala3d.datasets.page.server import Page
+from koala3d.datasets.segmentation.grow import Grower, Grown
+from koala3d.datasets.segmentation.strokes import Stroke
+from koala3d.datasets.segmentation.write import write
 
 DIMMED = 0.3
 """Brightness of what is not the object."""

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from datasets import pose
-from datasets.core.errors import UsageError
-from reconstruct.asset import asset as assets
-from reconstruct.asset.asset import FACES, SIZE, Asset
-from reconstruct.asset.robot.convex import PARTS, convex_parts
-from reconstruct.asset.robot.mass import Inertia, Weight, inertia
-from reconstruct.output.mesh import extraction
-from reconstruct.output.trained_model import TrainedModel
+from koala3d.datasets import pose
+from koala3d.datasets.core.errors import UsageError
+from koala3d.reconstruct.asset import asset as assets
+from koala3d.reconstruct.asset.asset import FACES, SIZE, Asset
+from koala3d.reconstruct.asset.robot.convex import PARTS, convex_parts
+from koala3d.reconstruct.asset.robot.mass import Inertia, Weight, inertia
+from koala3d.reconstruct.output.mesh import extraction
+from koala3d.reconstruct.output.trained_model import TrainedModel
 
 if TYPE_CHECKING:
     import trimesh

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from reconstruct.errors import ReconstructError
+from koala3d.reconstruct.errors import ReconstructError
 
 if TYPE_CHECKING:
     import trimesh

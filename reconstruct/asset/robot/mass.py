@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from datasets.core.errors import UsageError
+from koala3d.datasets.core.errors import UsageError
 
 if TYPE_CHECKING:
     import trimesh

@@ -3,8 +3,8 @@
 from collections.abc import Mapping, Sequence
 from xml.etree.ElementTree import Element, SubElement
 
-from reconstruct.asset.robot.body import Body
-from reconstruct.asset.robot.urdf import ENTRIES, document, numbers
+from koala3d.reconstruct.asset.robot.body import Body
+from koala3d.reconstruct.asset.robot.urdf import ENTRIES, document, numbers
 
 FILE, SCENE = "object.xml", "scene.xml"
 LAYERS = {"rgb": "base_colour", "normal": "normal", "occlusion": "occlusion", "roughness": "roughness", "metallic": "metallic"}

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from datasets.core import files
-from reconstruct.asset.robot import mjcf, urdf
-from reconstruct.asset.robot.body import Body
-from reconstruct.asset.writing import obj
+from koala3d.datasets.core import files
+from koala3d.reconstruct.asset.robot import mjcf, urdf
+from koala3d.reconstruct.asset.robot.body import Body
+from koala3d.reconstruct.asset.writing import obj
 
 VISUAL = "visual"
 

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from datasets.camera_model import Camera
+from koala3d.datasets.camera_model import Camera
 
 FINER = 2
 """Pixels of the pinhole, and places in a pixel of the lens, along each axis for each pixel of the lens."""

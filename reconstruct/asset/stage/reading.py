@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from datasets.core.errors import DatasetError
-from datasets.imaging import images
+from koala3d.datasets.core.errors import DatasetError
+from koala3d.datasets.imaging import images
 
 SPECULAR = "KHR_materials_specular"
 

@@ -14,9 +14,9 @@ import mitsuba as mi
 import numpy as np
 from jaxtyping import Float, Int
 
-from datasets.camera_model import Camera
-from reconstruct.asset.stage.reading import StoredAsset
-from reconstruct.asset.stage.sensor import MITSUBA_FROM_OPENCV, pinhole
+from koala3d.datasets.camera_model import Camera
+from koala3d.reconstruct.asset.stage.reading import StoredAsset
+from koala3d.reconstruct.asset.stage.sensor import MITSUBA_FROM_OPENCV, pinhole
 
 EDGES = 6
 """Most edges of a light path: the asset mirrors itself."""

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from datasets.camera_model import Camera
+from koala3d.datasets.camera_model import Camera
 
 MITSUBA_FROM_OPENCV = np.diag([-1.0, -1.0, 1.0, 1.0])
 

@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from datasets.camera_model import Camera
-from datasets.core.mitsuba_variant import variant
-from datasets.imaging import images
-from datasets.scene import View
-from reconstruct.asset.stage import lens
-from reconstruct.asset.stage.reading import StoredAsset
-from reconstruct.errors import ReconstructError
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core.mitsuba_variant import variant
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import View
+from koala3d.reconstruct.asset.stage import lens
+from koala3d.reconstruct.asset.stage.reading import StoredAsset
+from koala3d.reconstruct.errors import ReconstructError
 
-TRIAL = "reconstruct.asset.stage.trial"
+TRIAL = "koala3d.reconstruct.asset.stage.trial"
 
 
 class Stage:
@@ -33,7 +33,7 @@ class Stage:
             images.read(light)  # says what is wrong with it better than the renderer
         require_mitsuba()
         self.using = using or variant(TRIAL)  # before Mitsuba is imported, which loads LLVM
-        from reconstruct.asset.stage.renderer import Renderer
+        from koala3d.reconstruct.asset.stage.renderer import Renderer
 
         self._renderer = Renderer(asset, light, using=self.using)
 

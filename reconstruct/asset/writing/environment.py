@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from datasets.core.errors import UsageError
-from datasets.imaging import images
-from reconstruct.asset import sphere
-from reconstruct.asset.light import Light
-from reconstruct.output.trained_model import TrainedModel
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.imaging import images
+from koala3d.reconstruct.asset import sphere
+from koala3d.reconstruct.asset.light import Light
+from koala3d.reconstruct.output.trained_model import TrainedModel
 
 HEIGHT = 256
 """Default number of rows: 0.7 degrees apart, finer than the light is known."""

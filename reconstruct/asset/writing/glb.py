@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from datasets.core import files
-from reconstruct.asset.asset import Asset
-from reconstruct.asset.certainty import MEANING
-from reconstruct.asset.writing.png import encoded
+from koala3d.datasets.core import files
+from koala3d.reconstruct.asset.asset import Asset
+from koala3d.reconstruct.asset.certainty import MEANING
+from koala3d.reconstruct.asset.writing.png import encoded
 
 FLOAT, UNSIGNED = 5126, 5125
 ARRAYS, INDICES = 34962, 34963  # targets of buffer views

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets.core import files
-from reconstruct.asset.asset import Asset
-from reconstruct.asset.certainty import MEANING
-from reconstruct.asset.writing.png import encoded
+from koala3d.datasets.core import files
+from koala3d.reconstruct.asset.asset import Asset
+from koala3d.reconstruct.asset.certainty import MEANING
+from koala3d.reconstruct.asset.writing.png import encoded
 
 FORMAT, VERSION = "koala-asset-frame", 1
 

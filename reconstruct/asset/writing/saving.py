@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from datasets.core.errors import UsageError
-from reconstruct.asset.asset import Asset
-from reconstruct.asset.writing import glb, obj, usd
+from koala3d.datasets.core.errors import UsageError
+from koala3d.reconstruct.asset.asset import Asset
+from koala3d.reconstruct.asset.writing import glb, obj, usd
 
 WRITERS: dict[str, Callable[[Asset, Path], None]] = {
     ".glb": glb.save,

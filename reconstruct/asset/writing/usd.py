@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from datasets.core import files
-from datasets.core.errors import DatasetError
-from reconstruct.asset.asset import Asset
-from reconstruct.asset.certainty import MEANING
-from reconstruct.asset.writing.obj import write_textures
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import DatasetError
+from koala3d.reconstruct.asset.asset import Asset
+from koala3d.reconstruct.asset.certainty import MEANING
+from koala3d.reconstruct.asset.writing.obj import write_textures
 
 SHADED = {
     "diffuseColor": ("base_colour", "rgb", "sRGB"),

@@ -5,9 +5,9 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from datasets.core import console
-from reconstruct.options import RunFolder
-from reconstruct.output.commands import Split
+from koala3d.datasets.core import console
+from koala3d.reconstruct.options import RunFolder
+from koala3d.reconstruct.output.commands import Split
 
 
 def asset_command(
@@ -28,9 +28,9 @@ def asset_command(
     as_json: console.Json = False,
 ) -> None:
     """Render a run's asset with Mitsuba under its light, compare with the photographs, add the figures to RUN/metrics.json."""
-    from datasets.core.files import refuse_existing
-    from reconstruct.bench.asset import proof
-    from reconstruct.output.commands import opened
+    from koala3d.datasets.core.files import refuse_existing
+    from koala3d.reconstruct.bench.asset import proof
+    from koala3d.reconstruct.output.commands import opened
 
     if out is not None:
         refuse_existing(out)

@@ -11,18 +11,18 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from datasets.core.console import progress
-from datasets.core.errors import UsageError
-from datasets.imaging import images
-from datasets.scene import View
-from reconstruct.asset.stage.reading import StoredAsset
-from reconstruct.asset.stage.stage import Stage, over_white
-from reconstruct.asset.writing import environment
-from reconstruct.bench.scenes.light import Light
-from reconstruct.bench.scenes.shiny import SCENES
-from reconstruct.bench.scenes.views import Traced
-from reconstruct.output import metrics
-from reconstruct.output.trained_model import TrainedModel
+from koala3d.datasets.core.console import progress
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import View
+from koala3d.reconstruct.asset.stage.reading import StoredAsset
+from koala3d.reconstruct.asset.stage.stage import Stage, over_white
+from koala3d.reconstruct.asset.writing import environment
+from koala3d.reconstruct.bench.scenes.light import Light
+from koala3d.reconstruct.bench.scenes.shiny import SCENES
+from koala3d.reconstruct.bench.scenes.views import Traced
+from koala3d.reconstruct.output import metrics
+from koala3d.reconstruct.output.trained_model import TrainedModel
 
 HEIGHT = 256  # rows of the light's picture
 SHARP = 1e6  # concentration of a lobe that leaves the light as it is

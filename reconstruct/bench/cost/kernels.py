@@ -14,19 +14,19 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from reconstruct.bench.cost.machine import Limit, fastest
-from reconstruct.config import Config
-from reconstruct.field.cloud import Cloud
-from reconstruct.field.encodings.encoding import Encoding
-from reconstruct.field.encodings.lattice import PermutohedralLattice
-from reconstruct.field.encodings.voxels import VoxelGrid
-from reconstruct.numerics.compiling import jit
-from reconstruct.rendering.compositing import composited
-from reconstruct.rendering.model import Model
-from reconstruct.sampling.occupied_steps import OccupiedSteps
-from reconstruct.scene.facts import SceneFacts
-from reconstruct.scene.rays import Normalisation, Rays
-from reconstruct.scene.space import BOX
+from koala3d.reconstruct.bench.cost.machine import Limit, fastest
+from koala3d.reconstruct.config import Config
+from koala3d.reconstruct.field.cloud import Cloud
+from koala3d.reconstruct.field.encodings.encoding import Encoding
+from koala3d.reconstruct.field.encodings.lattice import PermutohedralLattice
+from koala3d.reconstruct.field.encodings.voxels import VoxelGrid
+from koala3d.reconstruct.numerics.compiling import jit
+from koala3d.reconstruct.rendering.compositing import composited
+from koala3d.reconstruct.rendering.model import Model
+from koala3d.reconstruct.sampling.occupied_steps import OccupiedSteps
+from koala3d.reconstruct.scene.facts import SceneFacts
+from koala3d.reconstruct.scene.rays import Normalisation, Rays
+from koala3d.reconstruct.scene.space import BOX
 
 BOUNDED = Normalisation((0.0, 0.0, 0.0), 1.0, True, 2.0, 6.0)  # an object in the cube [-1, 1]^3, seen from four away
 OCCUPIED = 0.03  # radius of the shell of occupied cells is 0.6; this is its half thickness [scene unit]

@@ -11,14 +11,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from datasets.core.console import progress
-from datasets.scene import Scene
-from reconstruct import checkpoint
-from reconstruct.bench.cost.instructions import Part, module_of, parts_of
-from reconstruct.output.trained_model import TrainedModel
-from reconstruct.run import CHECKPOINTS
-from reconstruct.scene.rays import Pixels
-from reconstruct.training.step import Step, TrainState
+from koala3d.datasets.core.console import progress
+from koala3d.datasets.scene import Scene
+from koala3d.reconstruct import checkpoint
+from koala3d.reconstruct.bench.cost.instructions import Part, module_of, parts_of
+from koala3d.reconstruct.output.trained_model import TrainedModel
+from koala3d.reconstruct.run import CHECKPOINTS
+from koala3d.reconstruct.scene.rays import Pixels
+from koala3d.reconstruct.training.step import Step, TrainState
 
 STEPS = 16  # traced steps, without and with a second pass
 

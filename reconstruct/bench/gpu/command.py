@@ -5,7 +5,7 @@ from typing import Annotated
 
 from typer import Option
 
-from datasets.core import console
+from koala3d.datasets.core import console
 
 
 def gpu_command(
@@ -23,9 +23,9 @@ def gpu_command(
     as_json: console.Json = False,
 ) -> None:
     """Measure a GPU in ten minutes: rays per second of both presets, error over time, rendering, memory, all devices and one."""
-    from datasets.core.errors import UsageError
-    from reconstruct.bench.gpu import memory, run
-    from reconstruct.bench.gpu.plan import Sizes, trials
+    from koala3d.datasets.core.errors import UsageError
+    from koala3d.reconstruct.bench.gpu import memory, run
+    from koala3d.reconstruct.bench.gpu.plan import Sizes, trials
 
     about = run.device()
     if plan_only:

@@ -1,6 +1,6 @@
 """What a step needs and moves, as the compiler plans it: programs are compiled at their full sizes and never run.
 
-`python -m reconstruct.bench.gpu.memory SETTINGS.json RESULT.json` does it in a process of its own, which alone holds the device.
+`python -m koala3d.reconstruct.bench.gpu.memory SETTINGS.json RESULT.json` does it in a process of its own: it holds the device.
 """
 
 import math
@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from datasets.core import files
-from reconstruct.config import Config
+from koala3d.datasets.core import files
+from koala3d.reconstruct.config import Config
 
 FORMAT, VERSION = "koala-bench-memory", 1
 VIEWS, SIDE = 100, 800
@@ -60,9 +60,9 @@ def plan(config: Config, pixels: int) -> dict[str, Any]:
     import jax
     import jax.numpy as jnp
 
-    from reconstruct.scene.facts import SceneFacts
-    from reconstruct.scene.rays import Normalisation, Pixels
-    from reconstruct.training.step import Step
+    from koala3d.reconstruct.scene.facts import SceneFacts
+    from koala3d.reconstruct.scene.rays import Normalisation, Pixels
+    from koala3d.reconstruct.training.step import Step
 
     def table() -> Pixels:
         colour, view = jnp.ones((pixels, 4), jnp.float16), jnp.zeros(pixels, jnp.int32)
@@ -106,8 +106,8 @@ def text(found: Sequence[dict[str, Any]]) -> str:
 
 def main(arguments: list[str]) -> None:
     """Plan for the settings in the first file and write the result to the second."""
-    from reconstruct.backend import cache_compilations
-    from reconstruct.models import load_config
+    from koala3d.reconstruct.backend import cache_compilations
+    from koala3d.reconstruct.models import load_config
 
     order = files.read_json(Path(arguments[0]), kind=FORMAT, version=VERSION)
     cache_compilations()

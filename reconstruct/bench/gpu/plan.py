@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from reconstruct.bench.suite import COST, QUALITY, Trial
+from koala3d.reconstruct.bench.suite import COST, QUALITY, Trial
 
 SECONDS = 180.0
 """Of training in all, by default: the rest of ten minutes goes to compiling and evaluating."""

@@ -14,17 +14,17 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from datasets.core import files
-from datasets.core.console import progress
-from datasets.core.errors import KoalaError, UsageError
-from datasets.formats import find
-from reconstruct.backend import cache_folder
-from reconstruct.bench import context, report, runner
-from reconstruct.bench.gpu import memory
-from reconstruct.bench.gpu.plan import LARGE, LEGO, Sizes, trials
-from reconstruct.bench.records import DONE, Records, Row, latest
-from reconstruct.bench.scenes.shiny import EDITION
-from reconstruct.bench.suite import Trial
+from koala3d.datasets.core import files
+from koala3d.datasets.core.console import progress
+from koala3d.datasets.core.errors import KoalaError, UsageError
+from koala3d.datasets.formats import find
+from koala3d.reconstruct.backend import cache_folder
+from koala3d.reconstruct.bench import context, report, runner
+from koala3d.reconstruct.bench.gpu import memory
+from koala3d.reconstruct.bench.gpu.plan import LARGE, LEGO, Sizes, trials
+from koala3d.reconstruct.bench.records import DONE, Records, Row, latest
+from koala3d.reconstruct.bench.scenes.shiny import EDITION
+from koala3d.reconstruct.bench.suite import Trial
 
 RESULT, ALONE = "gpu.json", "one_device"
 FORMAT, VERSION = "koala-bench-gpu", 1
@@ -41,7 +41,7 @@ def device() -> dict[str, Any]:
 
 def _command(*words: str) -> str:
     """Output of a `reconstruct` command in a process of its own."""
-    command = [sys.executable, "-c", "from reconstruct.cli import main; main()", *words]
+    command = [sys.executable, "-c", "from koala3d.reconstruct.cli import main; main()", *words]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=True)
     except subprocess.CalledProcessError as error:
@@ -100,7 +100,7 @@ def step_plans(sizes: Sizes) -> list[dict[str, Any]]:
     order = {"format": memory.FORMAT, "version": memory.VERSION, "settings": list(sizes.settings)}
     order["pixels"] = memory.VIEWS * sizes.side**2
     with tempfile.TemporaryDirectory(prefix="koala-bench-") as folder:
-        found = runner.answer_of("reconstruct.bench.gpu.memory", order, Path(folder), PATIENCE_S, {}, name="memory")
+        found = runner.answer_of("koala3d.reconstruct.bench.gpu.memory", order, Path(folder), PATIENCE_S, {}, name="memory")
     return found["plans"]
 
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from reconstruct.numerics.safe import safe_norm
+from koala3d.reconstruct.numerics.safe import safe_norm
 
 
 class Lamps(Protocol):

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from reconstruct.numerics.safe import safe_norm
+from koala3d.reconstruct.numerics.safe import safe_norm
 
 Points = Float[Array, "3 n"]
 Distance = Callable[[Points], Float[Array, " n"]]

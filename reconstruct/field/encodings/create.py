@@ -2,11 +2,11 @@
 
 from jaxtyping import PRNGKeyArray
 
-from reconstruct.config import EncodingConfig
-from reconstruct.field.encodings.encoding import Encoding
-from reconstruct.field.encodings.frequencies import Frequencies
-from reconstruct.field.encodings.lattice import PermutohedralLattice
-from reconstruct.field.encodings.voxels import VoxelGrid
+from koala3d.reconstruct.config import EncodingConfig
+from koala3d.reconstruct.field.encodings.encoding import Encoding
+from koala3d.reconstruct.field.encodings.frequencies import Frequencies
+from koala3d.reconstruct.field.encodings.lattice import PermutohedralLattice
+from koala3d.reconstruct.field.encodings.voxels import VoxelGrid
 
 GRIDS = {"lattice": PermutohedralLattice, "voxels": VoxelGrid}
 

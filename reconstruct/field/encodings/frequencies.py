@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from reconstruct.field.encodings.encoding import Scale
-from reconstruct.field.encodings.tables import resolutions_between
-from reconstruct.numerics.compiling import barrier
+from koala3d.reconstruct.field.encodings.encoding import Scale
+from koala3d.reconstruct.field.encodings.tables import resolutions_between
+from koala3d.reconstruct.numerics.compiling import barrier
 
 
 class Frequencies(eqx.Module):

@@ -9,10 +9,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from reconstruct.field.encodings import tables
-from reconstruct.field.encodings.encoding import Scale
-from reconstruct.field.encodings.tables import fitting_sizes, mean_squares, resolutions_between, start_values
-from reconstruct.numerics.compiling import barrier
+from koala3d.reconstruct.field.encodings import tables
+from koala3d.reconstruct.field.encodings.encoding import Scale
+from koala3d.reconstruct.field.encodings.tables import fitting_sizes, mean_squares, resolutions_between, start_values
+from koala3d.reconstruct.numerics.compiling import barrier
 
 
 class HashedGrid(eqx.Module):

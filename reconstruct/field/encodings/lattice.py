@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from reconstruct.field.encodings.encoding import Scale, blurred
-from reconstruct.field.encodings.grid import HashedGrid
-from reconstruct.field.encodings.simplex import (
+from koala3d.reconstruct.field.encodings.encoding import Scale, blurred
+from koala3d.reconstruct.field.encodings.grid import HashedGrid
+from koala3d.reconstruct.field.encodings.simplex import (
     VERTICES_PER_UNIT_VOLUME,
     barycentric,
     lift,
@@ -22,11 +22,11 @@ from reconstruct.field.encodings.simplex import (
     rank_of,
     weight_slopes,
 )
-from reconstruct.field.encodings.tables import row_of, starts
-from reconstruct.kernels import native
-from reconstruct.kernels.encoding import encode
-from reconstruct.numerics.compiling import barrier
-from reconstruct.numerics.lattice_constants import PRIMES
+from koala3d.reconstruct.field.encodings.tables import row_of, starts
+from koala3d.reconstruct.kernels import native
+from koala3d.reconstruct.kernels.encoding import encode
+from koala3d.reconstruct.numerics.compiling import barrier
+from koala3d.reconstruct.numerics.lattice_constants import PRIMES
 
 
 def table_rows(e: list, code: Int[Array, "levels n"], log2_sizes: tuple[int, ...]) -> list[Int[Array, "levels n"]]:

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from reconstruct.numerics.lattice_constants import LIFT
+from koala3d.reconstruct.numerics.lattice_constants import LIFT
 
 Coordinate = Float[Array, "..."]
 

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray, UInt32
 
-from reconstruct.kernels.squares import sum_of_squares
-from reconstruct.numerics.compiling import barrier
-from reconstruct.numerics.lattice_constants import MIXER
+from koala3d.reconstruct.kernels.squares import sum_of_squares
+from koala3d.reconstruct.numerics.compiling import barrier
+from koala3d.reconstruct.numerics.lattice_constants import MIXER
 
 HEADROOM, SMALLEST = 4, 8
 """Rows per vertex that a small table has, so that few of them share one; and its smallest size, as a power of two."""

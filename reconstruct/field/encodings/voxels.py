@@ -12,11 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from reconstruct.field.encodings.encoding import blurred
-from reconstruct.field.encodings.grid import HashedGrid
-from reconstruct.field.encodings.tables import row_of, starts
-from reconstruct.numerics.compiling import barrier
-from reconstruct.numerics.lattice_constants import PRIMES
+from koala3d.reconstruct.field.encodings.encoding import blurred
+from koala3d.reconstruct.field.encodings.grid import HashedGrid
+from koala3d.reconstruct.field.encodings.tables import row_of, starts
+from koala3d.reconstruct.numerics.compiling import barrier
+from koala3d.reconstruct.numerics.lattice_constants import PRIMES
 
 CORNERS = tuple(product((0, 1), repeat=3))
 """Offsets of a cell's vertices from its lowest one."""

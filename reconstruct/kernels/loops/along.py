@@ -7,7 +7,7 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 
-from reconstruct.kernels.loops.compiler import compiled, compiled_exactly, intrinsic
+from koala3d.reconstruct.kernels.loops.compiler import compiled, compiled_exactly, intrinsic
 
 f4 = np.float32
 LOG2_E = f4(1.4426950408889634)

@@ -15,8 +15,8 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 
-from reconstruct.kernels.loops.compiler import intrinsic, plain
-from reconstruct.kernels.loops.frame import API, CALL_FRAME, load_word, store_word
+from koala3d.reconstruct.kernels.loops.compiler import intrinsic, plain
+from koala3d.reconstruct.kernels.loops.frame import API, CALL_FRAME, load_word, store_word
 
 _API, _CONTEXT, _SCHEDULE = CALL_FRAME["api"], CALL_FRAME["context"], API["schedule"]
 _NEXT, _DONE, _HOLDERS, _COUNT, _FRAME, _WORK, _SIZE = 0, 8, 16, 24, 32, 40, 48

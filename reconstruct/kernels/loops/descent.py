@@ -9,9 +9,9 @@ from math import sqrt
 
 import numpy as np
 
-from reconstruct.kernels.loops.chunks import address_of, in_chunks_of
-from reconstruct.kernels.loops.compiler import compiled, handler
-from reconstruct.kernels.loops.frame import (
+from koala3d.reconstruct.kernels.loops.chunks import address_of, in_chunks_of
+from koala3d.reconstruct.kernels.loops.compiler import compiled, handler
+from koala3d.reconstruct.kernels.loops.frame import (
     argument,
     argument_address,
     argument_length,

@@ -12,7 +12,7 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 
-from reconstruct.kernels.loops.compiler import array_at, handler, intrinsic, plain
+from koala3d.reconstruct.kernels.loops.compiler import array_at, handler, intrinsic, plain
 
 CALL_FRAME = {"size": 168, "extension": 8, "api": 16, "context": 24, "stage": 32, "arguments": 40, "results": 80}
 BUFFERS = {"size": 40, "count": 16, "list": 32}

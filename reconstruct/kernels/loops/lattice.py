@@ -17,11 +17,19 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 
-from reconstruct.kernels.loops.along import fma, rint
-from reconstruct.kernels.loops.chunks import address_of, in_chunks
-from reconstruct.kernels.loops.compiler import compiled, compiled_exactly, handler, intrinsic
-from reconstruct.kernels.loops.frame import argument, argument_count, argument_size, executes, result, result_count, result_size
-from reconstruct.numerics.lattice_constants import LIFT, MIXER, PRIMES
+from koala3d.reconstruct.kernels.loops.along import fma, rint
+from koala3d.reconstruct.kernels.loops.chunks import address_of, in_chunks
+from koala3d.reconstruct.kernels.loops.compiler import compiled, compiled_exactly, handler, intrinsic
+from koala3d.reconstruct.kernels.loops.frame import (
+    argument,
+    argument_count,
+    argument_size,
+    executes,
+    result,
+    result_count,
+    result_size,
+)
+from koala3d.reconstruct.numerics.lattice_constants import LIFT, MIXER, PRIMES
 
 BLOCK = 256
 LINE = 16

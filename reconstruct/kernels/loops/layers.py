@@ -9,11 +9,19 @@ nothing is transposed but what comes in and goes out.
 
 import numpy as np
 
-from reconstruct.kernels.loops.chunks import address_of, in_chunks_of
-from reconstruct.kernels.loops.compiler import compiled, handler, plain
-from reconstruct.kernels.loops.frame import argument, argument_count, argument_size, executes, result, result_count, result_size
-from reconstruct.kernels.loops.product import add_product, address
-from reconstruct.kernels.network import CHUNK, LANES, ROWS, padded
+from koala3d.reconstruct.kernels.loops.chunks import address_of, in_chunks_of
+from koala3d.reconstruct.kernels.loops.compiler import compiled, handler, plain
+from koala3d.reconstruct.kernels.loops.frame import (
+    argument,
+    argument_count,
+    argument_size,
+    executes,
+    result,
+    result_count,
+    result_size,
+)
+from koala3d.reconstruct.kernels.loops.product import add_product, address
+from koala3d.reconstruct.kernels.network import CHUNK, LANES, ROWS, padded
 
 BLOCK = 64
 """Points of a block."""

@@ -7,11 +7,11 @@ length (n, most), count (n,): samples of each ray, first in its row; the rest of
 
 import numpy as np
 
-from reconstruct.kernels.loops.chunks import address_of, in_chunks_of
-from reconstruct.kernels.loops.compiler import compiled, handler
-from reconstruct.kernels.loops.frame import argument, argument_size, executes, result
-from reconstruct.kernels.loops.march import march_ray
-from reconstruct.kernels.loops.pack import draw_ray
+from koala3d.reconstruct.kernels.loops.chunks import address_of, in_chunks_of
+from koala3d.reconstruct.kernels.loops.compiler import compiled, handler
+from koala3d.reconstruct.kernels.loops.frame import argument, argument_size, executes, result
+from koala3d.reconstruct.kernels.loops.march import march_ray
+from koala3d.reconstruct.kernels.loops.pack import draw_ray
 
 RAYS = 64
 """Of a chunk."""

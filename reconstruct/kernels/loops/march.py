@@ -10,10 +10,10 @@ from math import sqrt
 
 import numpy as np
 
-from reconstruct.kernels.loops.along import fma, from_half
-from reconstruct.kernels.loops.chunks import address_of, in_chunks_of
-from reconstruct.kernels.loops.compiler import compiled, compiled_exactly, handler
-from reconstruct.kernels.loops.frame import argument, argument_size, executes, result
+from koala3d.reconstruct.kernels.loops.along import fma, from_half
+from koala3d.reconstruct.kernels.loops.chunks import address_of, in_chunks_of
+from koala3d.reconstruct.kernels.loops.compiler import compiled, compiled_exactly, handler
+from koala3d.reconstruct.kernels.loops.frame import argument, argument_size, executes, result
 
 RAYS = 64
 """Of a chunk."""

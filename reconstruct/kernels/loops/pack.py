@@ -9,10 +9,10 @@ kept (rays,), its t and length (rays, most samples).
 
 import numpy as np
 
-from reconstruct.kernels.loops.along import at, exp_of_minus
-from reconstruct.kernels.loops.chunks import address_of, in_chunks_of
-from reconstruct.kernels.loops.compiler import compiled, compiled_exactly, handler
-from reconstruct.kernels.loops.frame import argument, argument_size, executes, result, result_size
+from koala3d.reconstruct.kernels.loops.along import at, exp_of_minus
+from koala3d.reconstruct.kernels.loops.chunks import address_of, in_chunks_of
+from koala3d.reconstruct.kernels.loops.compiler import compiled, compiled_exactly, handler
+from koala3d.reconstruct.kernels.loops.frame import argument, argument_size, executes, result, result_size
 
 RAYS = 32
 """Of a chunk."""

@@ -8,8 +8,8 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 
-from reconstruct.kernels.loops.compiler import compiled, intrinsic, plain
-from reconstruct.kernels.network import LANES, ROWS
+from koala3d.reconstruct.kernels.loops.compiler import compiled, intrinsic, plain
+from koala3d.reconstruct.kernels.network import LANES, ROWS
 
 FLOAT = ir.FloatType()
 VECTOR = ir.VectorType(FLOAT, LANES)

@@ -7,10 +7,18 @@ the weighted values.
 
 import numpy as np
 
-from reconstruct.kernels.loops.along import exp_of_minus
-from reconstruct.kernels.loops.chunks import address_of, in_chunks_of
-from reconstruct.kernels.loops.compiler import compiled, handler
-from reconstruct.kernels.loops.frame import argument, argument_count, argument_size, executes, result, result_count, result_size
+from koala3d.reconstruct.kernels.loops.along import exp_of_minus
+from koala3d.reconstruct.kernels.loops.chunks import address_of, in_chunks_of
+from koala3d.reconstruct.kernels.loops.compiler import compiled, handler
+from koala3d.reconstruct.kernels.loops.frame import (
+    argument,
+    argument_count,
+    argument_size,
+    executes,
+    result,
+    result_count,
+    result_size,
+)
 
 RAYS = 64
 """Of a chunk."""

@@ -5,10 +5,10 @@ Arrays of a call: the numbers. Results: their sum of squares (), and room for th
 
 import numpy as np
 
-from reconstruct.kernels.loops.chunks import address_of, in_chunks_of
-from reconstruct.kernels.loops.compiler import compiled, handler, reordered
-from reconstruct.kernels.loops.frame import argument, argument_length, executes, result, result_size
-from reconstruct.kernels.squares import CHUNK
+from koala3d.reconstruct.kernels.loops.chunks import address_of, in_chunks_of
+from koala3d.reconstruct.kernels.loops.compiler import compiled, handler, reordered
+from koala3d.reconstruct.kernels.loops.frame import argument, argument_length, executes, result, result_size
+from koala3d.reconstruct.kernels.squares import CHUNK
 
 f4 = np.float32
 

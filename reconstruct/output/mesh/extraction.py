@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
-from datasets.scene import Scene
-from reconstruct.errors import ReconstructError
-from reconstruct.output.mesh.closing import mended
-from reconstruct.output.mesh.field_samples import frontal_colours, grid_axes, predicted_normals, sample_density
-from reconstruct.output.mesh.isolation import SIDES, fill_interior, isolate_object
-from reconstruct.output.mesh.refinement import follow_normals
-from reconstruct.output.trained_model import TrainedModel
+from koala3d.datasets.scene import Scene
+from koala3d.reconstruct.errors import ReconstructError
+from koala3d.reconstruct.output.mesh.closing import mended
+from koala3d.reconstruct.output.mesh.field_samples import frontal_colours, grid_axes, predicted_normals, sample_density
+from koala3d.reconstruct.output.mesh.isolation import SIDES, fill_interior, isolate_object
+from koala3d.reconstruct.output.mesh.refinement import follow_normals
+from koala3d.reconstruct.output.trained_model import TrainedModel
 
 if TYPE_CHECKING:
     import trimesh

@@ -7,17 +7,17 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import NDArray
 
-from datasets.core.console import progress
-from reconstruct.field.cloud import Cloud
-from reconstruct.field.field import Field
-from reconstruct.field.lit import Lit
-from reconstruct.field.near import Near
-from reconstruct.numerics.compiling import compiled
-from reconstruct.numerics.safe import normalise
-from reconstruct.output.trained_model import TrainedModel
-from reconstruct.rendering.pictures import ahead
-from reconstruct.scene.light import LightFrame
-from reconstruct.scene.space import Space
+from koala3d.datasets.core.console import progress
+from koala3d.reconstruct.field.cloud import Cloud
+from koala3d.reconstruct.field.field import Field
+from koala3d.reconstruct.field.lit import Lit
+from koala3d.reconstruct.field.near import Near
+from koala3d.reconstruct.numerics.compiling import compiled
+from koala3d.reconstruct.numerics.safe import normalise
+from koala3d.reconstruct.output.trained_model import TrainedModel
+from koala3d.reconstruct.rendering.pictures import ahead
+from koala3d.reconstruct.scene.light import LightFrame
+from koala3d.reconstruct.scene.space import Space
 
 CHUNK = 1 << 15  # points evaluated by one program
 Axes = tuple[NDArray[np.float64], ...]  # coordinates of the grid points along x, y and z [scene unit]

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from datasets.core.files import atomic_path
+from koala3d.datasets.core.files import atomic_path
 
 if TYPE_CHECKING:
     import trimesh

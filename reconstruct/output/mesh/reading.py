@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from datasets.core import files
-from datasets.core.errors import DatasetError, KoalaError, UsageError
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import DatasetError, KoalaError, UsageError
 
 if TYPE_CHECKING:
     import trimesh

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float, Int
 
-from reconstruct.errors import ReconstructError
+from koala3d.reconstruct.errors import ReconstructError
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.scene import View
+from koala3d.datasets.scene import View
 
 if TYPE_CHECKING:
     import trimesh

@@ -9,15 +9,15 @@ from dataclasses import replace
 import equinox as eqx
 import numpy as np
 
-from datasets.core.errors import UsageError
-from datasets.scene import Scene
-from reconstruct import checkpoint
-from reconstruct.errors import ReconstructError
-from reconstruct.run import CHECKPOINTS, Run
-from reconstruct.scene.facts import SceneFacts
-from reconstruct.scene.rays import Normalisation
-from reconstruct.training.skipping.plan import normalisation_of
-from reconstruct.training.step import TrainState
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.scene import Scene
+from koala3d.reconstruct import checkpoint
+from koala3d.reconstruct.errors import ReconstructError
+from koala3d.reconstruct.run import CHECKPOINTS, Run
+from koala3d.reconstruct.scene.facts import SceneFacts
+from koala3d.reconstruct.scene.rays import Normalisation
+from koala3d.reconstruct.training.skipping.plan import normalisation_of
+from koala3d.reconstruct.training.step import TrainState
 
 WEIGHTS = "weights_from"
 """Entry of run.json: the run whose weights it began with, their step, and its scene."""

@@ -6,22 +6,22 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from datasets.core.console import hint
-from datasets.core.files import refuse_existing
-from datasets.core.space import require_room
-from datasets.scene import Scene
-from reconstruct import checkpoint
-from reconstruct.config import Config
-from reconstruct.rendering.pictures import Renderer
-from reconstruct.run import CHECKPOINTS, Run, copies_beside
-from reconstruct.training.beginning.series import WEIGHTS, facts_of_series, with_weights
-from reconstruct.training.pace.budget import Plan
-from reconstruct.training.pace.clock import Clock
-from reconstruct.training.preparation import Prepared, prepare
-from reconstruct.training.skipping import record
-from reconstruct.training.skipping.plan import normalisation_of
-from reconstruct.training.step import TrainState
-from reconstruct.training.training import Training
+from koala3d.datasets.core.console import hint
+from koala3d.datasets.core.files import refuse_existing
+from koala3d.datasets.core.space import require_room
+from koala3d.datasets.scene import Scene
+from koala3d.reconstruct import checkpoint
+from koala3d.reconstruct.config import Config
+from koala3d.reconstruct.rendering.pictures import Renderer
+from koala3d.reconstruct.run import CHECKPOINTS, Run, copies_beside
+from koala3d.reconstruct.training.beginning.series import WEIGHTS, facts_of_series, with_weights
+from koala3d.reconstruct.training.pace.budget import Plan
+from koala3d.reconstruct.training.pace.clock import Clock
+from koala3d.reconstruct.training.preparation import Prepared, prepare
+from koala3d.reconstruct.training.skipping import record
+from koala3d.reconstruct.training.skipping.plan import normalisation_of
+from koala3d.reconstruct.training.step import TrainState
+from koala3d.reconstruct.training.training import Training
 
 LOOKS = 40
 """Lines in the log over a whole training."""

@@ -12,13 +12,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reconstruct.config import SurfaceConfig
-from reconstruct.surface.second_pass import second_pass_period
-from reconstruct.training import distributed
-from reconstruct.training.pace.clock import Clock, Leg
+from koala3d.reconstruct.config import SurfaceConfig
+from koala3d.reconstruct.surface.second_pass import second_pass_period
+from koala3d.reconstruct.training import distributed
+from koala3d.reconstruct.training.pace.clock import Clock, Leg
 
 if TYPE_CHECKING:
-    from reconstruct.training.training import Training
+    from koala3d.reconstruct.training.training import Training
 
 SHARE, LONGEST_S = 0.04, 2.0
 """The trial takes this share of the budget, and no longer than this."""
@@ -109,7 +109,7 @@ def _follow(training: "Training", plan: Plan) -> None:
 
 def _tried(training: "Training", budget_s: float) -> tuple[float, float]:
     """Seconds of a step without and with the second pass, by steps on a copy of the state."""
-    from reconstruct.training.training import CHUNK
+    from koala3d.reconstruct.training.training import CHUNK
 
     seed, surface = jnp.asarray(training.run.config.train.seed, jnp.int32), training.run.config.surface
     state, longest = jax.tree.map(jnp.copy, training.state), min(LONGEST_S, SHARE * budget_s)

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from datasets.core import files
+from koala3d.datasets.core import files
 
 MOVING = "moving.json"
 HOLD_S = 1.0

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.scene import Scene, View
-from reconstruct.sampling.occupancy import cell_centres
-from reconstruct.scene.frustum import Frustum
-from reconstruct.scene.rays import Normalisation, Pixels, scaled_camera
-from reconstruct.training.skipping.gains import Differences
+from koala3d.datasets.scene import Scene, View
+from koala3d.reconstruct.sampling.occupancy import cell_centres
+from koala3d.reconstruct.scene.frustum import Frustum
+from koala3d.reconstruct.scene.rays import Normalisation, Pixels, scaled_camera
+from koala3d.reconstruct.training.skipping.gains import Differences
 
 PLACES = 2000
 """Places of the object at which footprints are measured."""

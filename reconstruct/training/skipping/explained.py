@@ -13,11 +13,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinates
 
-from datasets.imaging.images import linear_from_srgb
-from datasets.scene import View
-from datasets.structure.votes import PIXELS_APART
-from reconstruct.scene.light import LightFrame
-from reconstruct.scene.rays import Pixels
+from koala3d.datasets.imaging.images import linear_from_srgb
+from koala3d.datasets.scene import View
+from koala3d.datasets.structure.votes import PIXELS_APART
+from koala3d.reconstruct.scene.light import LightFrame
+from koala3d.reconstruct.scene.rays import Pixels
 
 PIXELS, FEWEST = 20_000, 2_000
 """Pixels that are fitted, at most and at least."""

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.scene import View
-from datasets.structure.exposure import ExposureGains, exposure_gains
-from datasets.structure.matching import Matches
+from koala3d.datasets.scene import View
+from koala3d.datasets.structure.exposure import ExposureGains, exposure_gains
+from koala3d.datasets.structure.matching import Matches
 
 SURE = 8.0
 """A view differs where its log gain is so many standard deviations from the median view's. Views of shiny objects, whose

@@ -3,14 +3,14 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.core.errors import UsageError
-from datasets.scene import View
-from reconstruct.config import Config
-from reconstruct.scene.light import STILL, Frame, LightFrame
-from reconstruct.scene.rays import Normalisation, Pixels
-from reconstruct.scene.turntable import Turning, turning
-from reconstruct.training.skipping import explained
-from reconstruct.training.skipping.record import NOTHING_MORE, Skip
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.scene import View
+from koala3d.reconstruct.config import Config
+from koala3d.reconstruct.scene.light import STILL, Frame, LightFrame
+from koala3d.reconstruct.scene.rays import Normalisation, Pixels
+from koala3d.reconstruct.scene.turntable import Turning, turning
+from koala3d.reconstruct.training.skipping import explained
+from koala3d.reconstruct.training.skipping.record import NOTHING_MORE, Skip
 
 NAME = "moving_lamps"
 SAVING = "a rotation of each reflected direction, and a network for the light on matte parts"

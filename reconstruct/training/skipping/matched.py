@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from datasets.core.console import progress
-from datasets.scene import Scene, View
-from datasets.structure import matching
-from datasets.structure.matching import Matches
-from reconstruct.config import Config
+from koala3d.datasets.core.console import progress
+from koala3d.datasets.scene import Scene, View
+from koala3d.datasets.structure import matching
+from koala3d.datasets.structure.matching import Matches
+from koala3d.reconstruct.config import Config
 
 VIEWS = 60
 """Views that are compared, at most."""

@@ -7,8 +7,8 @@ light. Reflections move over the surface, change with the view, or meet behind a
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.structure.matching import SIDE, Features, Matches, shrunk
-from datasets.structure.triangulate import meeting_places
+from koala3d.datasets.structure.matching import SIDE, Features, Matches, shrunk
+from koala3d.datasets.structure.triangulate import meeting_places
 
 ALIKE = 0.1
 """Largest difference of logarithmic light between two views that see the same place in the same colour."""

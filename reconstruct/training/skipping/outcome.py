@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from reconstruct.training.skipping.record import Skip
+from koala3d.reconstruct.training.skipping.record import Skip
 
 
 def with_outcome(skips: Sequence[Skip], line: dict[str, Any]) -> list[Skip]:

@@ -4,15 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from datasets.scene import Scene, View
-from reconstruct.config import Config
-from reconstruct.models import Tree, merged, merged_config
-from reconstruct.sampling.create import sampler_type
-from reconstruct.sampling.steps import BEHIND, FRONT
-from reconstruct.scene.frustum import frustum_of
-from reconstruct.scene.rays import Normalisation
-from reconstruct.training.skipping.evidence import Evidence
-from reconstruct.training.skipping.record import ELSEWHERE, NOTHING_MORE, Skip
+from koala3d.datasets.scene import Scene, View
+from koala3d.reconstruct.config import Config
+from koala3d.reconstruct.models import Tree, merged, merged_config
+from koala3d.reconstruct.sampling.create import sampler_type
+from koala3d.reconstruct.sampling.steps import BEHIND, FRONT
+from koala3d.reconstruct.scene.frustum import frustum_of
+from koala3d.reconstruct.scene.rays import Normalisation
+from koala3d.reconstruct.training.skipping.evidence import Evidence
+from koala3d.reconstruct.training.skipping.record import ELSEWHERE, NOTHING_MORE, Skip
 
 ALIKE = 1.5
 """Footprints whose largest is less than so many times the smallest count as uniform."""

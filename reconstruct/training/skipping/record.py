@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from datasets.core import files
-from datasets.core.errors import UsageError, nearest
-from reconstruct.config import SkipConfig
-from reconstruct.run import SKIPS
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import UsageError, nearest
+from koala3d.reconstruct.config import SkipConfig
+from koala3d.reconstruct.run import SKIPS
 
 NAMES = tuple(SkipConfig.model_fields)
 """What can be forced."""

@@ -4,13 +4,13 @@ Reflections that move over an object look the same as cameras that are not where
 pictures show an object alone.
 """
 
-from datasets.scene import Scene
-from datasets.structure.matching import Matches
-from datasets.structure.placement import Reprojection, reprojection_of
-from reconstruct.config import Config
-from reconstruct.models import merged_config
-from reconstruct.scene.rays import Normalisation
-from reconstruct.training.skipping.record import NOTHING_MORE, Skip
+from koala3d.datasets.scene import Scene
+from koala3d.datasets.structure.matching import Matches
+from koala3d.datasets.structure.placement import Reprojection, reprojection_of
+from koala3d.reconstruct.config import Config
+from koala3d.reconstruct.models import merged_config
+from koala3d.reconstruct.scene.rays import Normalisation
+from koala3d.reconstruct.training.skipping.record import NOTHING_MORE, Skip
 
 CALIBRATED = "calibration"
 """What scenes that were built from a recording have in their provenance."""

@@ -1,14 +1,14 @@
 import numpy as np
 import pytest
 
-from calib.advice import hints, information
-from calib.advice.adviser import Adviser, Wanted
-from calib.errors import CalibrationError, Unobservable
-from calib.sessions.session import TargetSession
-from calib.study.rehearsal import Rehearsed, draw_rig
-from calib.study.simulate import KOALA, Pattern, viewpoints
-from datasets import pose
-from datasets.advice import Question
+from koala3d.calib.advice import hints, information
+from koala3d.calib.advice.adviser import Adviser, Wanted
+from koala3d.calib.errors import CalibrationError, Unobservable
+from koala3d.calib.sessions.session import TargetSession
+from koala3d.calib.study.rehearsal import Rehearsed, draw_rig
+from koala3d.calib.study.simulate import KOALA, Pattern, viewpoints
+from koala3d.datasets import pose
+from koala3d.datasets.advice import Question
 
 NEAR = Pattern((20.0, 50.0), (0.25, 0.4), shift_m=0.05)
 UNTIL = (0.05, 0.01)

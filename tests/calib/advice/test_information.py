@@ -3,15 +3,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.advice import information
-from calib.advice.information import Known
-from calib.handeye import model, refine
-from calib.handeye.model import Accuracy, Session, State
-from calib.handeye.refine import Sigmas
-from calib.intrinsics import projection
-from calib.study.simulate import KOALA, Pattern, viewpoints
-from datasets import pose
-from datasets.calibration import UncertainPose
+from koala3d.calib.advice import information
+from koala3d.calib.advice.information import Known
+from koala3d.calib.handeye import model, refine
+from koala3d.calib.handeye.model import Accuracy, Session, State
+from koala3d.calib.handeye.refine import Sigmas
+from koala3d.calib.intrinsics import projection
+from koala3d.calib.study.simulate import KOALA, Pattern, viewpoints
+from koala3d.datasets import pose
+from koala3d.datasets.calibration import UncertainPose
 
 FREE = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
 SIGMAS = Sigmas(0.1, 5e-5, 2e-4)

@@ -3,12 +3,12 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.advice.serve import CALIBRATION, Recorded, serve
-from calib.study.rehearsal import Rehearsed
-from datasets import pose
-from datasets.advice import Answer, Question
-from datasets.calibration import Calibration
-from datasets.recording import FRAMES, MANIFEST
+from koala3d.calib.advice.serve import CALIBRATION, Recorded, serve
+from koala3d.calib.study.rehearsal import Rehearsed
+from koala3d.datasets import pose
+from koala3d.datasets.advice import Answer, Question
+from koala3d.datasets.calibration import Calibration
+from koala3d.datasets.recording import FRAMES, MANIFEST
 
 
 def asked(answer, *lines: str) -> list[Answer]:

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from calib.errors import CalibrationError
-from calib.handeye import closed_forms
-from calib.intrinsics import estimate
-from datasets import pose
+from koala3d.calib.errors import CalibrationError
+from koala3d.calib.handeye import closed_forms
+from koala3d.calib.intrinsics import estimate
+from koala3d.datasets import pose
 
 
 def boards(session):

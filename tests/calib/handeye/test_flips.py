@@ -3,14 +3,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib import calibrate
-from calib.handeye import flips
-from calib.handeye.model import Accuracy
-from calib.intrinsics import estimate
-from calib.study import variants
-from calib.study.simulate import KOALA, Pattern, simulate, viewpoints
-from datasets import pose
-from datasets.targets.board import Board
+from koala3d.calib import calibrate
+from koala3d.calib.handeye import flips
+from koala3d.calib.handeye.model import Accuracy
+from koala3d.calib.intrinsics import estimate
+from koala3d.calib.study import variants
+from koala3d.calib.study.simulate import KOALA, Pattern, simulate, viewpoints
+from koala3d.datasets import pose
+from koala3d.datasets.targets.board import Board
 
 ARM = Accuracy(1e-4, float(np.deg2rad(0.02)))
 AMBIGUOUS = replace(KOALA, board=Board.of("chessboard", 9, 7, 0.03))

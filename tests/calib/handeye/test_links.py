@@ -5,20 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib import calibrate
-from calib.errors import CalibrationError
-from calib.handeye import links, model, uncertainty, verify
-from calib.handeye.model import Accuracy, State
-from calib.intrinsics import projection
-from calib.page import summary
-from calib.sessions.session import TargetSession
-from calib.study.simulate import KOALA, Pattern, viewpoints
-from calib.targets.detection import Observation
-from capture.arms.model import load_arm
-from datasets import kinematics, pose
-from datasets.calibration import Calibration
-from datasets.core.errors import UsageError
-from datasets.targets.board import Board
+from koala3d.calib import calibrate
+from koala3d.calib.errors import CalibrationError
+from koala3d.calib.handeye import links, model, uncertainty, verify
+from koala3d.calib.handeye.model import Accuracy, State
+from koala3d.calib.intrinsics import projection
+from koala3d.calib.page import summary
+from koala3d.calib.sessions.session import TargetSession
+from koala3d.calib.study.simulate import KOALA, Pattern, viewpoints
+from koala3d.calib.targets.detection import Observation
+from koala3d.capture.arms.model import load_arm
+from koala3d.datasets import kinematics, pose
+from koala3d.datasets.calibration import Calibration
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.targets.board import Board
 
 RIG = replace(KOALA, board=Board.of("charuco", 12, 9, 0.03, 0.022))
 OFFSETS = np.deg2rad([0.0, 0.05, -0.06, 0.04, -0.03, 0.0])

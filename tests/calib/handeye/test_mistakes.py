@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from calib.calibrate import calibrate_handeye
-from calib.errors import CalibrationError, Unobservable
-from calib.handeye import mistakes
-from calib.intrinsics import estimate
-from calib.sessions.session import TargetSession
-from datasets import pose
+from koala3d.calib.calibrate import calibrate_handeye
+from koala3d.calib.errors import CalibrationError, Unobservable
+from koala3d.calib.handeye import mistakes
+from koala3d.calib.intrinsics import estimate
+from koala3d.calib.sessions.session import TargetSession
+from koala3d.datasets import pose
 
 MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 

@@ -3,11 +3,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.errors import CalibrationError
-from calib.handeye import model
-from calib.intrinsics import projection
-from datasets import pose
-from datasets.camera_model import Camera
+from koala3d.calib.errors import CalibrationError
+from koala3d.calib.handeye import model
+from koala3d.calib.intrinsics import projection
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
 
 
 @pytest.fixture

@@ -5,18 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib import calibrate
-from calib.errors import CalibrationError
-from calib.handeye import links, model, uncertainty
-from calib.handeye.model import Accuracy, State
-from calib.intrinsics import projection
-from calib.sessions.session import TargetSession
-from calib.study.simulate import KOALA, Pattern, viewpoints
-from calib.targets.detection import Observation
-from capture.arms.model import ArmModel, load_arm
-from datasets import kinematics, pose
-from datasets.calibration import Calibration, LinkErrors
-from datasets.targets.board import Board
+from koala3d.calib import calibrate
+from koala3d.calib.errors import CalibrationError
+from koala3d.calib.handeye import links, model, uncertainty
+from koala3d.calib.handeye.model import Accuracy, State
+from koala3d.calib.intrinsics import projection
+from koala3d.calib.sessions.session import TargetSession
+from koala3d.calib.study.simulate import KOALA, Pattern, viewpoints
+from koala3d.calib.targets.detection import Observation
+from koala3d.capture.arms.model import ArmModel, load_arm
+from koala3d.datasets import kinematics, pose
+from koala3d.datasets.calibration import Calibration, LinkErrors
+from koala3d.datasets.targets.board import Board
 
 RIG = replace(KOALA, board=Board.of("charuco", 12, 9, 0.03, 0.022))
 ARM = Accuracy(3e-5, float(np.deg2rad(0.005)), float(np.deg2rad(0.05)))

@@ -6,12 +6,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from calib import calibrate
-from calib.handeye.model import Accuracy
-from calib.sessions.session import TargetSession
-from calib.study.simulate import KOALA, Pattern, simulate, viewpoints
-from datasets import pose
-from datasets.targets.board import Board
+from koala3d.calib import calibrate
+from koala3d.calib.handeye.model import Accuracy
+from koala3d.calib.sessions.session import TargetSession
+from koala3d.calib.study.simulate import KOALA, Pattern, simulate, viewpoints
+from koala3d.datasets import pose
+from koala3d.datasets.targets.board import Board
 
 RIG = replace(KOALA, board=Board.of("charuco", 8, 6, 0.045, 0.033))
 ARM = Accuracy(3e-5, float(np.deg2rad(0.005)))

@@ -3,12 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.errors import CalibrationError
-from calib.handeye import model, refine
-from calib.intrinsics import projection
-from calib.study.simulate import KOALA, Pattern, simulate, viewpoints
-from datasets import pose
-from datasets.targets.board import Board
+from koala3d.calib.errors import CalibrationError
+from koala3d.calib.handeye import model, refine
+from koala3d.calib.intrinsics import projection
+from koala3d.calib.study.simulate import KOALA, Pattern, simulate, viewpoints
+from koala3d.datasets import pose
+from koala3d.datasets.targets.board import Board
 
 FREE = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
 

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.handeye import model, refine, repeating, uncertainty
-from calib.handeye.model import Accuracy, State
-from calib.intrinsics import projection
-from calib.study import coverage
-from calib.study.rehearsal import draw_rig
-from datasets import kinematics, pose
-from datasets.kinematics import UR5E
+from koala3d.calib.handeye import model, refine, repeating, uncertainty
+from koala3d.calib.handeye.model import Accuracy, State
+from koala3d.calib.intrinsics import projection
+from koala3d.calib.study import coverage
+from koala3d.calib.study.rehearsal import draw_rig
+from koala3d.datasets import kinematics, pose
+from koala3d.datasets.kinematics import UR5E
 
 FREE = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 

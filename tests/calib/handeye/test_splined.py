@@ -6,18 +6,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib import calibrate
-from calib.errors import TargetError
-from calib.handeye.model import Accuracy
-from calib.handeye.verify import verify
-from calib.intrinsics import projection
-from calib.page import evidence, maps, report, summary
-from calib.sessions.session import TargetSession
-from calib.study.simulate import KOALA, Pattern, Rig, simulate, viewpoints
-from datasets.calibration import Calibration
-from datasets.camera_model import Camera
-from datasets.reports.html import ReportPage
-from datasets.spline import Grid, Spline
+from koala3d.calib import calibrate
+from koala3d.calib.errors import TargetError
+from koala3d.calib.handeye.model import Accuracy
+from koala3d.calib.handeye.verify import verify
+from koala3d.calib.intrinsics import projection
+from koala3d.calib.page import evidence, maps, report, summary
+from koala3d.calib.sessions.session import TargetSession
+from koala3d.calib.study.simulate import KOALA, Pattern, Rig, simulate, viewpoints
+from koala3d.datasets.calibration import Calibration
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.reports.html import ReportPage
+from koala3d.datasets.spline import Grid, Spline
 
 ARM = Accuracy(3e-5, float(np.deg2rad(0.005)))
 

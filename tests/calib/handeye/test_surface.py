@@ -5,18 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib import calibrate
-from calib.advice.patterns import Pattern, viewpoints
-from calib.handeye import model, surface
-from calib.handeye.model import Accuracy, State
-from calib.intrinsics import projection
-from calib.options import Arm, Inexact
-from calib.page.summary import describe_calibration
-from calib.sessions.session import TargetSession
-from calib.study.simulate import KOALA, simulate
-from datasets import pose
-from datasets.calibration import Calibration
-from datasets.core.errors import UsageError
+from koala3d.calib import calibrate
+from koala3d.calib.advice.patterns import Pattern, viewpoints
+from koala3d.calib.handeye import model, surface
+from koala3d.calib.handeye.model import Accuracy, State
+from koala3d.calib.intrinsics import projection
+from koala3d.calib.options import Arm, Inexact
+from koala3d.calib.page.summary import describe_calibration
+from koala3d.calib.sessions.session import TargetSession
+from koala3d.calib.study.simulate import KOALA, simulate
+from koala3d.datasets import pose
+from koala3d.datasets.calibration import Calibration
+from koala3d.datasets.core.errors import UsageError
 
 SHAPE = np.array([0.002, -0.001, 8e-4, -3e-4])
 """Paper that a printer pulled by 0.2 %, glued to a plate that sags by 0.8 mm."""

@@ -3,14 +3,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib import calibrate
-from calib.errors import Unobservable
-from calib.handeye import refine, uncertainty
-from calib.handeye.model import Accuracy
-from calib.page import summary
-from calib.study import simulate as without_pictures
-from calib.study.variants import target_session
-from datasets import pose
+from koala3d.calib import calibrate
+from koala3d.calib.errors import Unobservable
+from koala3d.calib.handeye import refine, uncertainty
+from koala3d.calib.handeye.model import Accuracy
+from koala3d.calib.page import summary
+from koala3d.calib.study import simulate as without_pictures
+from koala3d.calib.study.variants import target_session
+from koala3d.datasets import pose
 
 FREE = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
 

@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from calib.errors import CalibrationError
-from calib.handeye.model import Accuracy
-from calib.intrinsics import bundle, projection
-from calib.study.simulate import KOALA, Pattern, simulate, viewpoints
-from datasets import pose
+from koala3d.calib.errors import CalibrationError
+from koala3d.calib.handeye.model import Accuracy
+from koala3d.calib.intrinsics import bundle, projection
+from koala3d.calib.study.simulate import KOALA, Pattern, simulate, viewpoints
+from koala3d.datasets import pose
 
 FREE = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
 

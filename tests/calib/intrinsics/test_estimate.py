@@ -3,15 +3,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.errors import TargetError, Unobservable
-from calib.handeye.model import camera_points
-from calib.intrinsics import estimate, lenses, projection
-from calib.study.rehearsal import ARM, draw_rig
-from calib.study.simulate import Pattern, viewpoints
-from calib.study.simulate import simulate as simulate_session
-from calib.study.variants import target_session
-from datasets import pose
-from datasets.camera_model import Camera
+from koala3d.calib.errors import TargetError, Unobservable
+from koala3d.calib.handeye.model import camera_points
+from koala3d.calib.intrinsics import estimate, lenses, projection
+from koala3d.calib.study.rehearsal import ARM, draw_rig
+from koala3d.calib.study.simulate import Pattern, viewpoints
+from koala3d.calib.study.simulate import simulate as simulate_session
+from koala3d.calib.study.variants import target_session
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
 
 PLAIN = Camera(960, 600, 850.0, 848.0, 484.0, 296.0)
 STRONG = Camera(960, 600, 560.0, 558.0, 484.0, 296.0, -0.30, 0.12, 0.001, -0.001, -0.02)

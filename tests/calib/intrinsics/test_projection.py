@@ -3,9 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.intrinsics import projection
-from datasets.camera_model import Camera
-from datasets.spline import Grid, Spline
+from koala3d.calib.intrinsics import projection
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.spline import Grid, Spline
 
 CAMERA = Camera(640, 480, 600.0, 590.0, 325.0, 236.0, -0.2, 0.08, 0.002, -0.003, -0.01)
 POINTS = np.random.default_rng(0).uniform([-0.2, -0.15, 0.4], [0.2, 0.15, 0.8], (40, 3))

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.errors import TargetError
-from calib.handeye.model import Accuracy
-from calib.intrinsics import estimate, lenses, projection, splined
-from calib.study.simulate import KOALA, Pattern, simulate, viewpoints
-from datasets.camera_model import Camera
-from datasets.spline import Grid, Spline
+from koala3d.calib.errors import TargetError
+from koala3d.calib.handeye.model import Accuracy
+from koala3d.calib.intrinsics import estimate, lenses, projection, splined
+from koala3d.calib.study.simulate import KOALA, Pattern, simulate, viewpoints
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.spline import Grid, Spline
 
 NOISE_PX = 0.1
 EXPECTED_PX = NOISE_PX * np.sqrt(2 * (1 - 6 / 96))

@@ -6,18 +6,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib import calibrate
-from calib.handeye import refine
-from calib.intrinsics import estimate
-from calib.page.evidence import ALONE, CORRECTED, REPORTED, Evidence, gather, recording_of
-from calib.page.view import ARROW, between_green_and_red, overall, with_arrows
-from calib.sessions.session import TargetSession
-from calib.study import variants
-from calib.study.simulate import KOALA, Pattern, simulate, viewpoints
-from datasets import pose
-from datasets.calibration import Calibration
-from datasets.core.errors import UsageError
-from datasets.targets.board import Board
+from koala3d.calib import calibrate
+from koala3d.calib.handeye import refine
+from koala3d.calib.intrinsics import estimate
+from koala3d.calib.page.evidence import ALONE, CORRECTED, REPORTED, Evidence, gather, recording_of
+from koala3d.calib.page.view import ARROW, between_green_and_red, overall, with_arrows
+from koala3d.calib.sessions.session import TargetSession
+from koala3d.calib.study import variants
+from koala3d.calib.study.simulate import KOALA, Pattern, simulate, viewpoints
+from koala3d.datasets import pose
+from koala3d.datasets.calibration import Calibration
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.targets.board import Board
 
 
 @pytest.fixture(scope="module")

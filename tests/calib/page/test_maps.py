@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from calib import calibrate
-from calib.cli import app
-from calib.page import maps
-from calib.study import coverage
-from calib.study.rehearsal import draw_rig
-from datasets import pose
-from datasets.calibration import Calibration
-from datasets.core.errors import UsageError
-from datasets.kinematics import UR5E
+from koala3d.calib import calibrate
+from koala3d.calib.cli import app
+from koala3d.calib.page import maps
+from koala3d.calib.study import coverage
+from koala3d.calib.study.rehearsal import draw_rig
+from koala3d.datasets import pose
+from koala3d.datasets.calibration import Calibration
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.kinematics import UR5E
 
 
 @pytest.fixture(scope="module")

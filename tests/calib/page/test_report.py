@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from calib import calibrate
-from calib.page import report
-from calib.page.evidence import gather
-from calib.study import variants
-from calib.study.simulate import KOALA, Pattern, simulate, viewpoints
-from datasets import pose
-from datasets.calibration import Calibration
-from datasets.core.errors import UsageError
-from datasets.reports.html import Number, ReportPage
+from koala3d.calib import calibrate
+from koala3d.calib.page import report
+from koala3d.calib.page.evidence import gather
+from koala3d.calib.study import variants
+from koala3d.calib.study.simulate import KOALA, Pattern, simulate, viewpoints
+from koala3d.datasets import pose
+from koala3d.datasets.calibration import Calibration
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.reports.html import Number, ReportPage
 
 
 def evidence_of(given=None):

@@ -2,11 +2,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.handeye.verify import Verification
-from calib.page import summary
-from datasets import pose
-from datasets.calibration import Calibration, UncertainPose
-from datasets.camera_model import Camera
+from koala3d.calib.handeye.verify import Verification
+from koala3d.calib.page import summary
+from koala3d.datasets import pose
+from koala3d.datasets.calibration import Calibration, UncertainPose
+from koala3d.datasets.camera_model import Camera
 
 RESIDUALS = {
     "rms_px": 0.1,

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import yaml
 
-from calib.sessions import importer
-from datasets.core.errors import KoalaError, UsageError
-from datasets.imaging import images
+from koala3d.calib.sessions import importer
+from koala3d.datasets.core.errors import KoalaError, UsageError
+from koala3d.datasets.imaging import images
 
 BOARD = {
     "type": "charuco",

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 import yaml
 
-from calib.calibrate import calibrate_handeye
-from calib.errors import CalibrationError
-from calib.page.summary import notes
-from calib.sessions import importer
-from calib.sessions.session import TargetSession
-from datasets import pose
-from datasets.core.errors import DatasetError, KoalaError, UsageError
+from koala3d.calib.calibrate import calibrate_handeye
+from koala3d.calib.errors import CalibrationError
+from koala3d.calib.page.summary import notes
+from koala3d.calib.sessions import importer
+from koala3d.calib.sessions.session import TargetSession
+from koala3d.datasets import pose
+from koala3d.datasets.core.errors import DatasetError, KoalaError, UsageError
 
 MATRIX = pose.from_rotation_vector([2.0, -1.0, 0.4], [0.3, -0.2, 0.5])
 BOARD = {

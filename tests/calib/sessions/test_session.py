@@ -4,12 +4,12 @@ import shutil
 import numpy as np
 import pytest
 
-from calib.errors import TargetError
-from calib.handeye import model
-from calib.handeye.model import Accuracy
-from calib.sessions.session import describe, grey, observe, observe_recording
-from datasets.core.errors import UsageError
-from datasets.imaging import images
+from koala3d.calib.errors import TargetError
+from koala3d.calib.handeye import model
+from koala3d.calib.handeye.model import Accuracy
+from koala3d.calib.sessions.session import describe, grey, observe, observe_recording
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.imaging import images
 
 
 def test_recording_is_observed_view_by_view(recorded):

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from calib.handeye import model, refine
-from calib.solver.elimination import eliminate
+from koala3d.calib.handeye import model, refine
+from koala3d.calib.solver.elimination import eliminate
 
 FREE = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
 

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from calib.solver import geometry
-from datasets import pose
+from koala3d.calib.solver import geometry
+from koala3d.datasets import pose
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-6, 0.99e-4, 1.01e-4, 1.0, 3.0])

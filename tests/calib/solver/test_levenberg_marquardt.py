@@ -4,8 +4,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from calib.errors import CalibrationError
-from calib.solver.levenberg_marquardt import Limits, minimise
+from koala3d.calib.errors import CalibrationError
+from koala3d.calib.solver.levenberg_marquardt import Limits, minimise
 
 LIMITS = Limits(max_steps=200, tolerance=1e-14, least_cost=1e-12)
 

@@ -5,8 +5,8 @@ import csv
 import numpy as np
 import pytest
 
-from calib.handeye import closed_forms
-from calib.study import bench, bench_report, ratios
+from koala3d.calib.handeye import closed_forms
+from koala3d.calib.study import bench, bench_report, ratios
 
 POINTS = [bench.Point(0.1, 0.03, 0.005, 8), bench.Point(1.0, 0.03, 0.005, 8), bench.Point(0.1, 0.03, 0.005, 10, bench.ESTIMATED)]
 

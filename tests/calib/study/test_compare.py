@@ -3,11 +3,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.handeye import closed_forms, verify
-from calib.handeye.model import Accuracy
-from calib.study import compare, variants
-from calib.study.simulate import KOALA, Pattern, simulate, viewpoints
-from datasets import pose
+from koala3d.calib.handeye import closed_forms, verify
+from koala3d.calib.handeye.model import Accuracy
+from koala3d.calib.study import compare, variants
+from koala3d.calib.study.simulate import KOALA, Pattern, simulate, viewpoints
+from koala3d.datasets import pose
 
 ARM = Accuracy(2e-4, float(np.deg2rad(0.03)))
 

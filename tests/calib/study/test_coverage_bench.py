@@ -5,13 +5,13 @@ import json
 import numpy as np
 import pytest
 
-from calib.handeye import repeating
-from calib.study import coverage
-from calib.study.coverage import Condition, Outcome
-from calib.study.rehearsal import draw_rig
-from datasets import kinematics, pose
-from datasets.calibration import UncertainPose
-from datasets.kinematics import UR5E
+from koala3d.calib.handeye import repeating
+from koala3d.calib.study import coverage
+from koala3d.calib.study.coverage import Condition, Outcome
+from koala3d.calib.study.rehearsal import draw_rig
+from koala3d.datasets import kinematics, pose
+from koala3d.datasets.calibration import UncertainPose
+from koala3d.datasets.kinematics import UR5E
 
 
 def outcome(distances):

@@ -3,13 +3,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib import calibrate
-from calib.advice.information import Known, informations
-from calib.errors import CalibrationError
-from calib.study import next_views, variants
-from calib.study.simulate import KOALA, Pattern, simulate, viewpoints
-from datasets import pose
-from datasets.targets.board import Board
+from koala3d.calib import calibrate
+from koala3d.calib.advice.information import Known, informations
+from koala3d.calib.errors import CalibrationError
+from koala3d.calib.study import next_views, variants
+from koala3d.calib.study.simulate import KOALA, Pattern, simulate, viewpoints
+from koala3d.datasets import pose
+from koala3d.datasets.targets.board import Board
 
 RIG = replace(KOALA, board=Board.of("charuco", 12, 9, 0.03, 0.022))
 
@@ -76,7 +76,7 @@ def test_nowhere_to_go_is_said(solved):
 
 
 def test_trajectory_is_one_that_capture_reads(solved, tmp_path):
-    from capture.trajectory import load_trajectory
+    from koala3d.capture.trajectory import load_trajectory
 
     _, solution = solved
     found = next_views.plan(solution, 3, grow_m=0.1)

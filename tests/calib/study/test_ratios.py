@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from calib.study import ratios
+from koala3d.calib.study import ratios
 
 
 def test_a_ratio_and_its_interval():

@@ -1,10 +1,10 @@
 import numpy as np
 
-from calib.handeye import model
-from calib.handeye.model import Accuracy
-from calib.intrinsics import bundle
-from calib.study.simulate import KOALA, Pattern, simulate, viewpoints
-from datasets import pose
+from koala3d.calib.handeye import model
+from koala3d.calib.handeye.model import Accuracy
+from koala3d.calib.intrinsics import bundle
+from koala3d.calib.study.simulate import KOALA, Pattern, simulate, viewpoints
+from koala3d.datasets import pose
 
 
 def draw(pattern=None, sigma_px=0.0, arm=None, seed=0, views=12):

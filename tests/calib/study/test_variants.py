@@ -4,11 +4,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.handeye import refine
-from calib.study import bench, variants
-from calib.study.simulate import Pattern, simulate
-from capture.trajectory import load_trajectory
-from datasets import pose
+from koala3d.calib.handeye import refine
+from koala3d.calib.study import bench, variants
+from koala3d.calib.study.simulate import Pattern, simulate
+from koala3d.capture.trajectory import load_trajectory
+from koala3d.datasets import pose
 
 TRAJECTORY = Path(__file__).resolve().parents[3] / "configs" / "trajectories" / "calibration.yaml"
 

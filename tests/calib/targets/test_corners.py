@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from calib.targets import corners
+from koala3d.calib.targets import corners
 
 POINTS = np.array([[0.0, 0.0], [0.03, 0.0], [0.0, 0.03], [0.03, 0.03]])
 PLACES = np.array([[30.3, 40.8], [80.1, 42.6], [33.7, 78.2], [84.5, 81.4]])  # a slightly turned and slanted square

@@ -2,11 +2,11 @@ import cv2
 import numpy as np
 import pytest
 
-from calib.errors import TargetError
-from calib.targets.detection import detect, read_board
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.targets.board import Board
+from koala3d.calib.errors import TargetError
+from koala3d.calib.targets.detection import detect, read_board
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.targets.board import Board
 
 CHARUCO = Board.of("charuco", 9, 6, 0.03, 0.022, "DICT_5X5_100")
 CHESSBOARD = Board.of("chessboard", 10, 7, 0.025)

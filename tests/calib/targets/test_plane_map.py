@@ -4,12 +4,12 @@ import cv2
 import numpy as np
 import pytest
 
-from calib.targets import circles, plane_map
-from calib.targets.detection import detect
-from datasets import conventions, pose
-from datasets.camera_model import Camera
-from datasets.targets.board import Board
-from datasets.targets.pattern import Pattern
+from koala3d.calib.targets import circles, plane_map
+from koala3d.calib.targets.detection import detect
+from koala3d.datasets import conventions, pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.targets.board import Board
+from koala3d.datasets.targets.pattern import Pattern
 
 CAMERA = Camera(480, 300, 317.0, 317.0, 242.0, 132.0, -0.104, 0.053, 0.0007, 0.0009, -0.012)
 GRID = Board.of("circles", 9, 7, 0.024, 0.014)

@@ -4,10 +4,10 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pytest
 
-from calib.targets import printing
-from calib.targets.detection import detect
-from datasets.core.errors import UsageError
-from datasets.targets.board import Board
+from koala3d.calib.targets import printing
+from koala3d.calib.targets.detection import detect
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.targets.board import Board
 
 BOARDS = [
     Board.of("charuco", 9, 7, 0.03, 0.022, "DICT_5X5_100"),

@@ -2,8 +2,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.targets import screening
-from datasets.camera_model import Camera
+from koala3d.calib.targets import screening
+from koala3d.datasets.camera_model import Camera
 
 
 def test_good_corners_all_stay(small):

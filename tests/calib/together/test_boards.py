@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from calib import calibrate
-from calib.advice.patterns import Pattern, viewpoints
-from calib.errors import CalibrationError, Unobservable
-from calib.handeye.model import Accuracy
-from calib.sessions.session import TargetSession
-from calib.study.simulate import KOALA
-from calib.targets.detection import Observation
-from calib.together.boards import Boards, calibrate_boards
-from datasets import pose
-from datasets.core.errors import UsageError
-from datasets.targets.board import Board
+from koala3d.calib import calibrate
+from koala3d.calib.advice.patterns import Pattern, viewpoints
+from koala3d.calib.errors import CalibrationError, Unobservable
+from koala3d.calib.handeye.model import Accuracy
+from koala3d.calib.sessions.session import TargetSession
+from koala3d.calib.study.simulate import KOALA
+from koala3d.calib.targets.detection import Observation
+from koala3d.calib.together.boards import Boards, calibrate_boards
+from koala3d.datasets import pose
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.targets.board import Board
 
 ARM = Accuracy(5e-5, float(np.deg2rad(0.01)))
 PATTERN = Pattern(tilt_deg=(0, 35), distance_m=(0.35, 0.5))

@@ -6,11 +6,11 @@ from functools import partial
 import numpy as np
 import pytest
 
-from calib.cli import main
-from datasets import pose
-from datasets.calibration import Calibration, UncertainPose
-from datasets.core import files
-from datasets.targets.board import Board
+from koala3d.calib.cli import main
+from koala3d.datasets import pose
+from koala3d.datasets.calibration import Calibration, UncertainPose
+from koala3d.datasets.core import files
+from koala3d.datasets.targets.board import Board
 
 TAGS = Board.of("tags", 4, 2, 0.05, 0.04, "DICT_4X4_50")
 

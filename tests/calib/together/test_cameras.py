@@ -6,21 +6,21 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from calib import calibrate
-from calib.advice.patterns import Pattern, viewpoints
-from calib.errors import CalibrationError
-from calib.handeye import model
-from calib.handeye.model import Accuracy
-from calib.handeye.surface import FLAT
-from calib.intrinsics import projection
-from calib.sessions.session import TargetSession
-from calib.study.simulate import KOALA
-from calib.targets.detection import Observation
-from calib.together.cameras import Cameras, calibrate_cameras
-from calib.together.model import Together, TogetherState
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.core.errors import UsageError
+from koala3d.calib import calibrate
+from koala3d.calib.advice.patterns import Pattern, viewpoints
+from koala3d.calib.errors import CalibrationError
+from koala3d.calib.handeye import model
+from koala3d.calib.handeye.model import Accuracy
+from koala3d.calib.handeye.surface import FLAT
+from koala3d.calib.intrinsics import projection
+from koala3d.calib.sessions.session import TargetSession
+from koala3d.calib.study.simulate import KOALA
+from koala3d.calib.targets.detection import Observation
+from koala3d.calib.together.cameras import Cameras, calibrate_cameras
+from koala3d.calib.together.model import Together, TogetherState
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core.errors import UsageError
 
 ARM = Accuracy(5e-5, float(np.deg2rad(0.01)))
 LEFT, RIGHT = KOALA.camera, Camera(1280, 960, 1150.0, 1152.0, 636.0, 483.0, -0.05, 0.02, 0.0002, 0.0003, 0.0)

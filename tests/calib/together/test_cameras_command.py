@@ -6,8 +6,8 @@ from functools import partial
 import numpy as np
 import pytest
 
-from calib.cli import main
-from datasets.calibration import Calibration, UncertainPose
+from koala3d.calib.cli import main
+from koala3d.datasets.calibration import Calibration, UncertainPose
 
 
 @pytest.fixture(scope="module")

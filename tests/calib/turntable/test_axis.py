@@ -1,15 +1,15 @@
 import numpy as np
 import pytest
 
-from calib.errors import CalibrationError, Unobservable
-from calib.intrinsics import projection
-from calib.sessions.session import TargetSession
-from calib.study.simulate import KOALA
-from calib.targets.detection import Observation
-from calib.turntable.axis import find
-from datasets import pose
-from datasets.calibration import Calibration, UncertainPose
-from datasets.turntable import Axis
+from koala3d.calib.errors import CalibrationError, Unobservable
+from koala3d.calib.intrinsics import projection
+from koala3d.calib.sessions.session import TargetSession
+from koala3d.calib.study.simulate import KOALA
+from koala3d.calib.targets.detection import Observation
+from koala3d.calib.turntable.axis import find
+from koala3d.datasets import pose
+from koala3d.datasets.calibration import Calibration, UncertainPose
+from koala3d.datasets.turntable import Axis
 
 SIGMA_PX = 0.05
 MOUNT = pose.from_rotation_vector([0.8, 0.02, -0.01], [0.002, 0.06, 0.08])

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 import trimesh
 
-from capture.arms.carrier import Cable, CameraCapsule, Carrier, carrier_of
-from capture.arms.model import load_arm
-from capture.planning import Obstacles, connect
-from capture.planning.paths import between
-from capture.planning.solutions import solve
-from capture.shapes.solids import BoxSolid, CylinderSolid, MeshSolid
-from capture.viewpoints import Viewpoint
-from datasets import pose
+from koala3d.capture.arms.carrier import Cable, CameraCapsule, Carrier, carrier_of
+from koala3d.capture.arms.model import load_arm
+from koala3d.capture.planning import Obstacles, connect
+from koala3d.capture.planning.paths import between
+from koala3d.capture.planning.solutions import solve
+from koala3d.capture.shapes.solids import BoxSolid, CylinderSolid, MeshSolid
+from koala3d.capture.viewpoints import Viewpoint
+from koala3d.datasets import pose
 
 MOUNT = pose.from_rotation_vector([np.radians(45), 0, 0], [0, 0.06, 0.08])
 STRETCHED = np.radians([0, 0, 0, -90, 0, 0])  # along the base's -x axis, 0.2 m high and farther out than 0.8 m

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from capture.arms import numerical
-from capture.arms.model import ArmModel, load_arm
-from capture.kinematics import wrap
-from datasets import pose
+from koala3d.capture.arms import numerical
+from koala3d.capture.arms.model import ArmModel, load_arm
+from koala3d.capture.kinematics import wrap
+from koala3d.datasets import pose
 
 NAMES = ["ur3e", "ur5e", "ur10e", "ur16e", "panda"]
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from capture.arms.model import identify, load_arm, recorded_arm, shipped_arms
-from datasets.core.errors import UsageError
-from datasets.kinematics import UR5E, forward
-from datasets.recording import Recording
+from koala3d.capture.arms.model import identify, load_arm, recorded_arm, shipped_arms
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.kinematics import UR5E, forward
+from koala3d.datasets.recording import Recording
 
 NAMES = ["UR10e", "UR16e", "UR3e", "UR5e"]
 OTHERS = ["Franka Panda"]

@@ -5,8 +5,8 @@ import itertools
 import numpy as np
 import pytest
 
-from capture.arms.carrier import carrier_of
-from datasets import pose
+from koala3d.capture.arms.carrier import carrier_of
+from koala3d.datasets import pose
 
 MOUNT = carrier_of(pose.from_rotation_vector([np.radians(45), 0, 0], [0, 0.06, 0.08]))
 PARTS, INDEX = MOUNT.shape.parts, MOUNT.shape.index

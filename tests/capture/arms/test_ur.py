@@ -5,13 +5,13 @@ import sys
 import numpy as np
 import pytest
 
-from capture import kinematics
-from capture.arms import ur
-from capture.arms.model import load_arm
-from capture.planning import plan
-from capture.rig.description import RigDescription
-from capture.trajectory import load_trajectory
-from datasets import pose
+from koala3d.capture import kinematics
+from koala3d.capture.arms import ur
+from koala3d.capture.arms.model import load_arm
+from koala3d.capture.planning import plan
+from koala3d.capture.rig.description import RigDescription
+from koala3d.capture.trajectory import load_trajectory
+from koala3d.datasets import pose
 
 
 @pytest.fixture

@@ -9,12 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-import configs
-from capture.arms.model import load_arm
-from capture.arms.urdf import from_axes, read_chain
-from datasets import pose
-from datasets.core.errors import UsageError
-from datasets.kinematics import forward, link_frames
+from koala3d import configs
+from koala3d.capture.arms.model import load_arm
+from koala3d.capture.arms.urdf import from_axes, read_chain
+from koala3d.datasets import pose
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.kinematics import forward, link_frames
 
 PANDA = configs.find("arms", "panda").with_suffix(".urdf")
 

@@ -4,13 +4,13 @@ from collections.abc import Iterator
 
 import pytest
 
-from capture.arms.carrier import Carrier
-from capture.calibrating.adviser import Adviser
-from capture.calibrating.bench import RehearsedArm
-from capture.planning import Obstacles
-from capture.rig.description import RigDescription
-from capture.trajectory import Trajectory, load_trajectory
-from datasets.advice import Question
+from koala3d.capture.arms.carrier import Carrier
+from koala3d.capture.calibrating.adviser import Adviser
+from koala3d.capture.calibrating.bench import RehearsedArm
+from koala3d.capture.planning import Obstacles
+from koala3d.capture.rig.description import RigDescription
+from koala3d.capture.trajectory import Trajectory, load_trajectory
+from koala3d.datasets.advice import Question
 
 CARRIER = RigDescription().carrier()
 

@@ -6,8 +6,8 @@ import sys
 import numpy as np
 import pytest
 
-from capture.calibrating import bench, bench_report
-from capture.calibrating.bench import Rehearsal, Step
+from koala3d.capture.calibrating import bench, bench_report
+from koala3d.capture.calibrating.bench import Rehearsal, Step
 
 
 def step(views: int, error: float, stated: float) -> Step:
@@ -53,7 +53,7 @@ def test_report_has_every_step(tmp_path):
 
 
 def test_flights_take_as_long_as_planned_ones(trajectory, carrier, arm):
-    from capture.planning import duration, plan
+    from koala3d.capture.planning import duration, plan
 
     planned = plan(trajectory, carrier)[:4]
     arm.present = planned[0].joints
@@ -65,7 +65,17 @@ def test_flights_take_as_long_as_planned_ones(trajectory, carrier, arm):
 
 @pytest.mark.slow
 def test_chosen_views_beat_the_fixed_ones(tmp_path):
-    command = [sys.executable, "-m", "capture.cli", "bench-calibrate", "--rigs", "6", "--out", str(tmp_path / "bench"), "--json"]
+    command = [
+        sys.executable,
+        "-m",
+        "koala3d.capture.cli",
+        "bench-calibrate",
+        "--rigs",
+        "6",
+        "--out",
+        str(tmp_path / "bench"),
+        "--json",
+    ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=280)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)

@@ -1,18 +1,18 @@
 import numpy as np
 import pytest
 
-from capture import kinematics
-from capture.calibrating import candidates
-from capture.geometry import Box
-from capture.planning import Obstacles
-from datasets import pose
+from koala3d.capture import kinematics
+from koala3d.capture.calibrating import candidates
+from koala3d.capture.geometry import Box
+from koala3d.capture.planning import Obstacles
+from koala3d.datasets import pose
 
 BOARD = pose.from_rotation_vector([np.pi, 0.0, 0.0], [0.265, 0.105, 0.003])
 
 
 @pytest.fixture(scope="module")
 def drawn(trajectory):
-    from capture.rig.description import RigDescription
+    from koala3d.capture.rig.description import RigDescription
 
     carrier = RigDescription().carrier()
     reach = candidates.reach_of(trajectory, carrier, BOARD)

@@ -1,16 +1,16 @@
 import numpy as np
 import pytest
 
-from capture.calibrating import candidates, loop
-from capture.calibrating.adviser import Adviser, AdviserError
-from capture.calibrating.bench import RehearsedArm
-from capture.calibrating.loop import Goal
-from capture.errors import PlanningError
-from capture.geometry import Box
-from capture.planning import Obstacles
-from capture.trajectory import load_trajectory
-from datasets import pose
-from datasets.advice import Question
+from koala3d.capture.calibrating import candidates, loop
+from koala3d.capture.calibrating.adviser import Adviser, AdviserError
+from koala3d.capture.calibrating.bench import RehearsedArm
+from koala3d.capture.calibrating.loop import Goal
+from koala3d.capture.errors import PlanningError
+from koala3d.capture.geometry import Box
+from koala3d.capture.planning import Obstacles
+from koala3d.capture.trajectory import load_trajectory
+from koala3d.datasets import pose
+from koala3d.datasets.advice import Question
 
 NEVER = (1e-4, 1e-5)
 

@@ -11,13 +11,13 @@ from pathlib import Path
 
 import pytest
 
-from capture.calibrating import loop, session
-from capture.calibrating.loop import Goal, Outcome
-from capture.cli import main
-from datasets.advice import Answer
-from datasets.calibration import Calibration
-from datasets.core import files
-from datasets.recording import Recording
+from koala3d.capture.calibrating import loop, session
+from koala3d.capture.calibrating.loop import Goal, Outcome
+from koala3d.capture.cli import main
+from koala3d.datasets.advice import Answer
+from koala3d.datasets.calibration import Calibration
+from koala3d.datasets.core import files
+from koala3d.datasets.recording import Recording
 
 SMALL = [f"--set=camera.{value}" for value in ("binning=4", "width=480", "height=270")]
 VIEWS = 7
@@ -41,7 +41,7 @@ def count(out: Path) -> int:
 
 def interrupted(out: Path, frames: int, how: signal.Signals, *options: str) -> str:
     """Run until there are `frames` frames, then send a signal; returns what it printed as an error."""
-    command = [sys.executable, "-m", "capture.cli", *words_for(out, *options)]
+    command = [sys.executable, "-m", "koala3d.capture.cli", *words_for(out, *options)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         while count(out) < frames and process.poll() is None:
             time.sleep(0.01)

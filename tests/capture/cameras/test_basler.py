@@ -3,11 +3,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from capture.cameras.basler import TRIES, Basler
-from capture.errors import CaptureError, RigConnectionError
-from capture.trajectory import CameraSettings
-from datasets.imaging import images
-from datasets.imaging.region import Region
+from koala3d.capture.cameras.basler import TRIES, Basler
+from koala3d.capture.errors import CaptureError, RigConnectionError
+from koala3d.capture.trajectory import CameraSettings
+from koala3d.datasets.imaging import images
+from koala3d.datasets.imaging.region import Region
 
 SMALL = CameraSettings(width=64, height=48, binning=4, exposure_us=2000, gain_db=3)
 

@@ -3,8 +3,8 @@ import time
 
 import pytest
 
-from capture.cameras.deadline import Patient
-from capture.errors import RigConnectionError
+from koala3d.capture.cameras.deadline import Patient
+from koala3d.capture.errors import RigConnectionError
 
 
 def test_results_and_errors_come_back():

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from capture.rig.cameras import camera_of
-from capture.rig.description import load_rig
-from capture.trajectory import CameraSettings
-from datasets.core.errors import UsageError
+from koala3d.capture.rig.cameras import camera_of
+from koala3d.capture.rig.description import load_rig
+from koala3d.capture.trajectory import CameraSettings
+from koala3d.datasets.core.errors import UsageError
 
 
 def rig(folder: Path, camera: str) -> Path:

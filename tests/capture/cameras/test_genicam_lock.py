@@ -4,8 +4,8 @@ import time
 
 import pytest
 
-from capture.cameras import genicam_lock
-from capture.cameras.genicam_lock import FOLDER, release_abandoned
+from koala3d.capture.cameras import genicam_lock
+from koala3d.capture.cameras.genicam_lock import FOLDER, release_abandoned
 from tests.moments import Clock
 
 

@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from capture.cameras.device import Device
-from capture.cameras.gentl import PATHS, GenTlCamera, opened
-from capture.doctor.examine import examine_camera
-from capture.doctor.lines import Verdict
-from capture.errors import CaptureError, RigConnectionError
-from capture.rig.description import RigDescription
-from capture.trajectory import CameraSettings
+from koala3d.capture.cameras.device import Device
+from koala3d.capture.cameras.gentl import PATHS, GenTlCamera, opened
+from koala3d.capture.doctor.examine import examine_camera
+from koala3d.capture.doctor.lines import Verdict
+from koala3d.capture.errors import CaptureError, RigConnectionError
+from koala3d.capture.rig.description import RigDescription
+from koala3d.capture.trajectory import CameraSettings
 
 pytest.importorskip("harvesters")
 genicam = pytest.importorskip("genicam")

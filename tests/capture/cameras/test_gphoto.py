@@ -10,17 +10,17 @@ import cv2
 import numpy as np
 import pytest
 
-from capture.cameras.gphoto import VIRTUAL, microseconds
+from koala3d.capture.cameras.gphoto import VIRTUAL, microseconds
 
 PROGRAM = """
 import json, sys
 from pathlib import Path
-from capture.cameras.device import Device
-from capture.cameras.gphoto import GphotoCamera, opened
-from capture.doctor.other_camera import check
-from capture.errors import CaptureError
-from capture.rig.description import CameraDescription
-from capture.trajectory import CameraSettings
+from koala3d.capture.cameras.device import Device
+from koala3d.capture.cameras.gphoto import GphotoCamera, opened
+from koala3d.capture.doctor.other_camera import check
+from koala3d.capture.errors import CaptureError
+from koala3d.capture.rig.description import CameraDescription
+from koala3d.capture.trajectory import CameraSettings
 
 pictures, found = Path(sys.argv[1]), {}
 plain = {"model": "gphoto2", "leave": ["gain_db"], "settings": {"f-number": "f/8"}}

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from capture.cameras.device import Device
-from capture.cameras.realsense import opened
-from capture.errors import CaptureError
+from koala3d.capture.cameras.device import Device
+from koala3d.capture.cameras.realsense import opened
+from koala3d.capture.errors import CaptureError
 
 
 def test_a_library_that_cannot_be_loaded_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,11 +4,11 @@ import cv2
 import numpy as np
 import pytest
 
-from capture.cameras.device import Device
-from capture.cameras.opencv import _EXPOSURE, OpenCvCamera, opened
-from capture.errors import CaptureError, RigConnectionError
-from capture.trajectory import CameraSettings
-from datasets.imaging import images
+from koala3d.capture.cameras.device import Device
+from koala3d.capture.cameras.opencv import _EXPOSURE, OpenCvCamera, opened
+from koala3d.capture.errors import CaptureError, RigConnectionError
+from koala3d.capture.trajectory import CameraSettings
+from koala3d.datasets.imaging import images
 
 SETTINGS = CameraSettings(width=64, height=48)
 LEFT = ["exposure_us", "gain_db"]

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from capture.cameras.pixels import CANDIDATES, choose_format, colours
-from capture.errors import CaptureError
-from datasets.imaging.images import srgb_from_linear
+from koala3d.capture.cameras.pixels import CANDIDATES, choose_format, colours
+from koala3d.capture.errors import CaptureError
+from koala3d.datasets.imaging.images import srgb_from_linear
 
 PLACES = {"RG": ((0, 0), (1, 1)), "GB": ((1, 0), (0, 1)), "BG": ((1, 1), (0, 0)), "GR": ((0, 1), (1, 0))}
 """Row and column of the red and of the blue photosite of each pattern."""

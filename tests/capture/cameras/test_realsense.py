@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from capture.cameras.device import Device
-from capture.cameras.realsense import RealSense
-from capture.errors import CaptureError, RigConnectionError
-from capture.sim.emulated import STEREO_BASELINE_M, stereo_depth
-from capture.sim.realsense_device import BASELINE_M, SERIAL, SoftwareRealSense, mode_camera
-from capture.trajectory import CameraSettings
-from datasets.camera_model import Camera
+from koala3d.capture.cameras.device import Device
+from koala3d.capture.cameras.realsense import RealSense
+from koala3d.capture.errors import CaptureError, RigConnectionError
+from koala3d.capture.sim.emulated import STEREO_BASELINE_M, stereo_depth
+from koala3d.capture.sim.realsense_device import BASELINE_M, SERIAL, SoftwareRealSense, mode_camera
+from koala3d.capture.trajectory import CameraSettings
+from koala3d.datasets.camera_model import Camera
 
 pytest.importorskip("pyrealsense2", exc_type=ImportError)  # or its libusb is absent
 
@@ -88,7 +88,7 @@ def test_without_a_camera_there_is_one_clear_line():
 
 
 def test_a_camera_that_stops_sending_is_an_error_within_the_deadline(monkeypatch):
-    monkeypatch.setattr("capture.cameras.realsense.TRANSFER_MS", 50)
+    monkeypatch.setattr("koala3d.capture.cameras.realsense.TRANSFER_MS", 50)
     source = SoftwareRealSense(SENSOR)
     shown(source, 1)
     with RealSense(SETTINGS, device(), emulation=source) as camera:

@@ -5,14 +5,14 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from capture.arms.carrier import Carrier
-from capture.choosing.candidates import Candidate, dense, within_reach
-from capture.choosing.loop import Known, Reach, Why
-from capture.choosing.places import Places, of_box
-from capture.choosing.shape import eye_of
-from capture.planning import Obstacles, connect
-from capture.rig.description import RigDescription
-from capture.trajectory import Trajectory, load_trajectory
+from koala3d.capture.arms.carrier import Carrier
+from koala3d.capture.choosing.candidates import Candidate, dense, within_reach
+from koala3d.capture.choosing.loop import Known, Reach, Why
+from koala3d.capture.choosing.places import Places, of_box
+from koala3d.capture.choosing.shape import eye_of
+from koala3d.capture.planning import Obstacles, connect
+from koala3d.capture.rig.description import RigDescription
+from koala3d.capture.trajectory import Trajectory, load_trajectory
 
 CARRIER = RigDescription().carrier()
 

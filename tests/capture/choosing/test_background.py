@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from capture.choosing.background import outlines, table_height
-from datasets import pose
-from datasets.camera_model import Camera
+from koala3d.capture.choosing.background import outlines, table_height
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
 
 CAMERA = Camera(160, 120, 150.0, 150.0, 80.0, 60.0, k1=-0.1)
 LOW, HIGH = np.array([0.32, -0.06, 0.0]), np.array([0.44, 0.06, 0.12])

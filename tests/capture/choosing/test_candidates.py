@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
 
-from capture.choosing.candidates import dense, see
-from capture.choosing.places import of_box
-from capture.choosing.shape import eye_of
-from capture.choosing.tour import far_apart, tour
-from capture.errors import UnreachableError
-from capture.trajectory import load_trajectory
+from koala3d.capture.choosing.candidates import dense, see
+from koala3d.capture.choosing.places import of_box
+from koala3d.capture.choosing.shape import eye_of
+from koala3d.capture.choosing.tour import far_apart, tour
+from koala3d.capture.errors import UnreachableError
+from koala3d.capture.trajectory import load_trajectory
 
 
 def test_a_hemisphere_gets_denser_and_keeps_its_limits(trajectory):

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from capture.choosing import gain
-from capture.choosing.gain import Seen
-from capture.choosing.places import Places
+from koala3d.capture.choosing import gain
+from koala3d.capture.choosing.gain import Seen
+from koala3d.capture.choosing.places import Places
 
 PLATE = Places.of(np.array([[0.0, 0, 0], [1.0, 0, 0], [2.0, 0, 0]]), np.tile([0.0, 0, 1], (3, 1)), np.array([1.0, 1, 2]), 1.0)
 HIGH = 100.0  # of cameras: all places are seen from one direction

@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from capture.choosing import gain, known_shape
-from capture.choosing.candidates import see
-from capture.choosing.shape import eye_of
-from capture.cli import main
-from capture.planning import plan
-from capture.trajectory import load_trajectory
-from datasets.core.errors import UsageError
+from koala3d.capture.choosing import gain, known_shape
+from koala3d.capture.choosing.candidates import see
+from koala3d.capture.choosing.shape import eye_of
+from koala3d.capture.cli import main
+from koala3d.capture.planning import plan
+from koala3d.capture.trajectory import load_trajectory
+from koala3d.datasets.core.errors import UsageError
 
 
 @pytest.fixture

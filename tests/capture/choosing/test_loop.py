@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from capture.choosing import gain, loop
-from capture.choosing.candidates import seen_from
-from capture.choosing.loop import Goal, Reach, Why
-from capture.errors import PlanningError
+from koala3d.capture.choosing import gain, loop
+from koala3d.capture.choosing.candidates import seen_from
+from koala3d.capture.choosing.loop import Goal, Reach, Why
+from koala3d.capture.errors import PlanningError
 
 
 def run(reach, arm, trajectory, goal):

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from capture.choosing import places
+from koala3d.capture.choosing import places
 
 BOX = np.array([[0.3, -0.1, 0.0], [0.5, 0.1, 0.3]])
 

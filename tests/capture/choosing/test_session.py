@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 import yaml
 
-from capture.choosing import loop
-from capture.cli import main
-from capture.page import report
-from capture.page.timeline import of_recording
-from capture.rig.description import recorded_carrier
-from datasets.core import files
-from datasets.recording import CHOSEN, Recording, chosen_views
+from koala3d.capture.choosing import loop
+from koala3d.capture.cli import main
+from koala3d.capture.page import report
+from koala3d.capture.page.timeline import of_recording
+from koala3d.capture.rig.description import recorded_carrier
+from koala3d.datasets.core import files
+from koala3d.datasets.recording import CHOSEN, Recording, chosen_views
 
 FIRST, TESTS, VIEWS = 10, 2, 16
 
@@ -61,7 +61,7 @@ def count(out: Path) -> int:
 
 def interrupted(room: Path, out: Path, frames: int, how: signal.Signals, *options: str) -> str:
     """Run until there are `frames` frames, then send a signal; returns what it printed as an error."""
-    command = [sys.executable, "-m", "capture.cli", *words_for(room, out, *options)]
+    command = [sys.executable, "-m", "koala3d.capture.cli", *words_for(room, out, *options)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         while count(out) < frames and process.poll() is None:
             time.sleep(0.01)

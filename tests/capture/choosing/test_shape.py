@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import pytest
 
-from capture.choosing.shape import lens_of
-from capture.trajectory import load_trajectory
-from datasets.calibration import Calibration
-from datasets.camera_model import Camera
-from datasets.core.errors import UsageError
-from datasets.imaging.region import Region
+from koala3d.capture.choosing.shape import lens_of
+from koala3d.capture.trajectory import load_trajectory
+from koala3d.datasets.calibration import Calibration
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.imaging.region import Region
 
 CALIBRATED = Region(960, 540, 0, 0, 2)
 CALIBRATION = Calibration(Camera(960, 540, 900.0, 910.0, 470.0, 280.0, k1=-0.1), {}, region=CALIBRATED)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from capture.choosing import sight
-from capture.choosing.places import of_mesh
-from datasets import pose
-from datasets.camera_model import Camera
+from koala3d.capture.choosing import sight
+from koala3d.capture.choosing.places import of_mesh
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
 
 
 def scene() -> trimesh.Trimesh:

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from capture.cameras.basler import opened
-from capture.doctor.examine import examine_arm, examine_camera, refuse_wrong
-from capture.doctor.lines import Line, Verdict
-from capture.errors import NotReady
-from capture.rig.description import RigDescription
-from capture.sim.camera_nodes import FAMILIES, Setting, SimulatedNodes
-from capture.sim.controller.process import SimulatedController
+from koala3d.capture.cameras.basler import opened
+from koala3d.capture.doctor.examine import examine_arm, examine_camera, refuse_wrong
+from koala3d.capture.doctor.lines import Line, Verdict
+from koala3d.capture.errors import NotReady
+from koala3d.capture.rig.description import RigDescription
+from koala3d.capture.sim.camera_nodes import FAMILIES, Setting, SimulatedNodes
+from koala3d.capture.sim.controller.process import SimulatedController
 
 STATED = {
     "serial": "20235500001",

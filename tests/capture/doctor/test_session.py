@@ -7,16 +7,16 @@ from pathlib import Path
 
 import pytest
 
-from capture.cli import main
-from capture.doctor.examine import examination, examine
-from capture.doctor.lines import Verdict
-from capture.errors import NotReady
-from capture.rig.description import RigDescription
-from capture.rig.opening import describe, write_simulated_rig
-from capture.robots.dashboard import Dashboard
-from capture.robots.timing import Deadlines
-from capture.robots.ur import UniversalRobot
-from capture.sim.controller.process import SimulatedController
+from koala3d.capture.cli import main
+from koala3d.capture.doctor.examine import examination, examine
+from koala3d.capture.doctor.lines import Verdict
+from koala3d.capture.errors import NotReady
+from koala3d.capture.rig.description import RigDescription
+from koala3d.capture.rig.opening import describe, write_simulated_rig
+from koala3d.capture.robots.dashboard import Dashboard
+from koala3d.capture.robots.timing import Deadlines
+from koala3d.capture.robots.ur import UniversalRobot
+from koala3d.capture.sim.controller.process import SimulatedController
 
 SESSION = """\
 format: koala-trajectory

@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
-from capture.doctor.examine import examine_arm
-from capture.doctor.lines import Line, Verdict
-from capture.rig.description import RigDescription
-from capture.sim.controller.installation import Installation
-from capture.sim.controller.process import SimulatedController
+from koala3d.capture.doctor.examine import examine_arm
+from koala3d.capture.doctor.lines import Line, Verdict
+from koala3d.capture.rig.description import RigDescription
+from koala3d.capture.sim.controller.installation import Installation
+from koala3d.capture.sim.controller.process import SimulatedController
 
 PLAIN = Installation()
 INSTALLED = {

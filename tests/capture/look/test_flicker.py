@@ -1,15 +1,15 @@
 import numpy as np
 import pytest
 
-from capture.look.analysis import Look, Part
-from capture.look.balance import white_balance
-from capture.look.flicker import FREQUENCIES_HZ, Flicker, burst, flicker
-from capture.measurements import Image
-from capture.rig.opening import open_camera
-from capture.sim.laboratory.flaws import Flaws, lamp_light
-from capture.trajectory import load_trajectory
-from datasets.core.errors import UsageError
-from datasets.radiometry.response import Response
+from koala3d.capture.look.analysis import Look, Part
+from koala3d.capture.look.balance import white_balance
+from koala3d.capture.look.flicker import FREQUENCIES_HZ, Flicker, burst, flicker
+from koala3d.capture.measurements import Image
+from koala3d.capture.rig.opening import open_camera
+from koala3d.capture.sim.laboratory.flaws import Flaws, lamp_light
+from koala3d.capture.trajectory import load_trajectory
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.radiometry.response import Response
 
 SMALL = ("camera.width=64", "camera.height=48")
 

@@ -6,16 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from capture.errors import CaptureError
-from capture.look.jog import Jog
-from capture.look.outline import COLOUR, Outline
-from capture.rig.opening import Rig, open_rig
-from capture.trajectory import Trajectory, load_trajectory
-from datasets import pose
-from datasets.calibration import Calibration, UncertainPose
-from datasets.camera_model import Camera
-from datasets.core.errors import DatasetError, UsageError
-from datasets.imaging.region import Region
+from koala3d.capture.errors import CaptureError
+from koala3d.capture.look.jog import Jog
+from koala3d.capture.look.outline import COLOUR, Outline
+from koala3d.capture.rig.opening import Rig, open_rig
+from koala3d.capture.trajectory import Trajectory, load_trajectory
+from koala3d.datasets import pose
+from koala3d.datasets.calibration import Calibration, UncertainPose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core.errors import DatasetError, UsageError
+from koala3d.datasets.imaging.region import Region
 
 SMALL = ("camera.width=96", "camera.height=96", "camera.binning=4")
 CAMERA = Camera(96, 96, 120.0, 120.0, 48.0, 48.0, k1=-0.1)
@@ -94,7 +94,7 @@ def test_intrinsics_follow_the_region_of_the_sensor(session: Trajectory) -> None
 
 
 def test_the_command_moves_the_arm_and_draws_the_box(tmp_path: Path, session: Trajectory, run_inside) -> None:
-    from capture.cli import main
+    from koala3d.capture.cli import main
 
     Calibration.save(calibrated(), tmp_path / "calibration.json")
     words = [word for change in SMALL for word in ("--set", change)]
@@ -104,7 +104,7 @@ def test_the_command_moves_the_arm_and_draws_the_box(tmp_path: Path, session: Tr
     name = session.viewpoints()[5].name
     done = run_inside(main, "capture", "look", "koala_demo", *words, "--go", name, "--picture", tmp_path / "look.png")
     assert done.returncode == 0, done.stderr
-    from datasets.imaging import images
+    from koala3d.datasets.imaging import images
 
     picture = images.read(tmp_path / "look.png")[..., :3]
     drawn = np.abs(255 * picture - np.array(COLOUR)).max(-1) < 30

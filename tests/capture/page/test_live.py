@@ -7,17 +7,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from capture.page.live import TALL, LiveView, with_histogram
-from capture.page.session import CaptureView
-from capture.page.timeline import of_planned
-from capture.page.view import show, watch
-from capture.planning import PlannedView, plan
-from capture.rig.description import RigDescription, recorded_rig
-from capture.trajectory import Trajectory
-from datasets.core.errors import UsageError
-from datasets.imaging import images
-from datasets.page import open_page
-from datasets.recording import Frame, Recording
+from koala3d.capture.page.live import TALL, LiveView, with_histogram
+from koala3d.capture.page.session import CaptureView
+from koala3d.capture.page.timeline import of_planned
+from koala3d.capture.page.view import show, watch
+from koala3d.capture.planning import PlannedView, plan
+from koala3d.capture.rig.description import RigDescription, recorded_rig
+from koala3d.capture.trajectory import Trajectory
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.imaging import images
+from koala3d.datasets.page import open_page
+from koala3d.datasets.recording import Frame, Recording
 from tests.browser import PATIENCE_S, Browse
 
 MOUNT = RigDescription().flange_from_camera.matrix()

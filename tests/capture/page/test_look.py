@@ -3,16 +3,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from capture.arms.model import load_arm
-from capture.look.analysis import Part
-from capture.look.jog import Jog
-from capture.page.look import AROUND, LookPage, framed
-from capture.page.overlay import FRAME, PEAK, peaks, shown
-from capture.rig.description import RigDescription
-from capture.rig.opening import open_camera
-from capture.sim.kinematic_arm import KinematicArm
-from capture.trajectory import load_trajectory
-from datasets.page import open_page
+from koala3d.capture.arms.model import load_arm
+from koala3d.capture.look.analysis import Part
+from koala3d.capture.look.jog import Jog
+from koala3d.capture.page.look import AROUND, LookPage, framed
+from koala3d.capture.page.overlay import FRAME, PEAK, peaks, shown
+from koala3d.capture.rig.description import RigDescription
+from koala3d.capture.rig.opening import open_camera
+from koala3d.capture.sim.kinematic_arm import KinematicArm
+from koala3d.capture.trajectory import load_trajectory
+from koala3d.datasets.page import open_page
 from tests.browser import Browse
 
 PART = Part(8, 8, 56, 40)

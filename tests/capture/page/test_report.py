@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from capture.page import report
-from capture.trajectory import load_trajectory
-from datasets import pose
-from datasets.core import files
-from datasets.core.errors import UsageError
-from datasets.imaging import images
-from datasets.recording import Frame, Recording
+from koala3d.capture.page import report
+from koala3d.capture.trajectory import load_trajectory
+from koala3d.datasets import pose
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.imaging import images
+from koala3d.datasets.recording import Frame, Recording
 
 
 @pytest.fixture

@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from capture.page.session import CaptureView, along_z
-from capture.page.timeline import Timeline, of_trajectory
-from capture.rig.description import RigDescription
-from capture.trajectory import Trajectory
-from datasets import pose
-from datasets.page import open_page
+from koala3d.capture.page.session import CaptureView, along_z
+from koala3d.capture.page.timeline import Timeline, of_trajectory
+from koala3d.capture.rig.description import RigDescription
+from koala3d.capture.trajectory import Trajectory
+from koala3d.datasets import pose
+from koala3d.datasets.page import open_page
 
 MOUNT = RigDescription().carrier()
 

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from capture import kinematics
-from capture.page.timeline import WAIT_S, of_recording, of_trajectory
-from capture.planning import duration, move_duration, plan
-from capture.rig.description import RigDescription
-from capture.trajectory import Trajectory, load_trajectory
-from datasets.recording import Frame, Recording
+from koala3d.capture import kinematics
+from koala3d.capture.page.timeline import WAIT_S, of_recording, of_trajectory
+from koala3d.capture.planning import duration, move_duration, plan
+from koala3d.capture.rig.description import RigDescription
+from koala3d.capture.trajectory import Trajectory, load_trajectory
+from koala3d.datasets.recording import Frame, Recording
 
 MOUNT = RigDescription().flange_from_camera.matrix()
 

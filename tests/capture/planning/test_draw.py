@@ -4,11 +4,11 @@ import re
 import numpy as np
 import pytest
 
-from capture.kinematics import forward
-from capture.planning import Obstacles, draw, plan
-from capture.rig.description import RigDescription
-from capture.trajectory import load_trajectory
-from datasets.imaging import images
+from koala3d.capture.kinematics import forward
+from koala3d.capture.planning import Obstacles, draw, plan
+from koala3d.capture.rig.description import RigDescription
+from koala3d.capture.trajectory import load_trajectory
+from koala3d.datasets.imaging import images
 
 MOUNT = RigDescription().flange_from_camera.matrix()
 

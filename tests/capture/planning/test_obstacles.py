@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from capture.arms.carrier import carrier_of
-from capture.kinematics import forward
-from capture.planning.obstacles import Obstacles
-from capture.shapes.distances import box_distance, segment_distance, sight_distance
-from capture.trajectory import load_trajectory
-from datasets import pose
+from koala3d.capture.arms.carrier import carrier_of
+from koala3d.capture.kinematics import forward
+from koala3d.capture.planning.obstacles import Obstacles
+from koala3d.capture.shapes.distances import box_distance, segment_distance, sight_distance
+from koala3d.capture.trajectory import load_trajectory
+from koala3d.datasets import pose
 
 MOUNT = pose.from_rotation_vector([np.radians(45), 0, 0], [0, 0.06, 0.08])
 BOX = np.array([[0.3, -0.1, 0.0], [0.5, 0.1, 0.3]])

@@ -2,11 +2,11 @@ import itertools
 
 import numpy as np
 
-from capture.planning import duration, plan
-from capture.planning.order import TURN_M, short_order
-from capture.rig.description import RigDescription
-from capture.trajectory import load_trajectory
-from datasets import pose
+from koala3d.capture.planning import duration, plan
+from koala3d.capture.planning.order import TURN_M, short_order
+from koala3d.capture.rig.description import RigDescription
+from koala3d.capture.trajectory import load_trajectory
+from koala3d.datasets import pose
 
 MOUNT = RigDescription().flange_from_camera.matrix()
 

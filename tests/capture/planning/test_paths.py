@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from capture.planning.obstacles import Obstacles
-from capture.planning.paths import are_free, between, find_path, is_free
-from datasets import pose
+from koala3d.capture.planning.obstacles import Obstacles
+from koala3d.capture.planning.paths import are_free, between, find_path, is_free
+from koala3d.datasets import pose
 
 MOUNT = pose.from_rotation_vector([np.radians(45), 0, 0], [0, 0.06, 0.08])
 POST = np.array([[-0.65, -0.05, 0.0], [-0.45, 0.05, 0.6]])

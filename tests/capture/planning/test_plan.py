@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from capture.errors import PlanningError, UnreachableError
-from capture.geometry import Box
-from capture.kinematics import JOINT_LIMIT, forward
-from capture.planning import Obstacles, connect, plan
-from capture.rig.description import RigDescription
-from capture.trajectory import Trajectory, load_trajectory
-from capture.viewpoints import HemisphereViews, JointViews
-from datasets import pose
+from koala3d.capture.errors import PlanningError, UnreachableError
+from koala3d.capture.geometry import Box
+from koala3d.capture.kinematics import JOINT_LIMIT, forward
+from koala3d.capture.planning import Obstacles, connect, plan
+from koala3d.capture.rig.description import RigDescription
+from koala3d.capture.trajectory import Trajectory, load_trajectory
+from koala3d.capture.viewpoints import HemisphereViews, JointViews
+from koala3d.datasets import pose
 
 MOUNT = RigDescription().flange_from_camera.matrix()
 

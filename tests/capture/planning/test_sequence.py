@@ -4,11 +4,11 @@ import itertools
 
 import numpy as np
 
-from capture.arms.model import load_arm
-from capture.planning.obstacles import Obstacles
-from capture.planning.paths import is_free
-from capture.planning.sequence import DETOUR, shortest
-from datasets import pose
+from koala3d.capture.arms.model import load_arm
+from koala3d.capture.planning.obstacles import Obstacles
+from koala3d.capture.planning.paths import is_free
+from koala3d.capture.planning.sequence import DETOUR, shortest
+from koala3d.datasets import pose
 
 HOME = load_arm("ur5e").home
 MOUNT = pose.from_rotation_vector([np.radians(45), 0, 0], [0, 0.06, 0.08])

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from capture import kinematics
-from capture.kinematics import JOINT_LIMIT, forward
-from capture.planning.obstacles import Obstacles
-from capture.planning.solutions import MIN_SINGULARITY, solve
-from capture.viewpoints import Viewpoint
-from datasets import pose
+from koala3d.capture import kinematics
+from koala3d.capture.kinematics import JOINT_LIMIT, forward
+from koala3d.capture.planning.obstacles import Obstacles
+from koala3d.capture.planning.solutions import MIN_SINGULARITY, solve
+from koala3d.capture.viewpoints import Viewpoint
+from koala3d.datasets import pose
 
 MOUNT = pose.from_rotation_vector([np.radians(45), 0, 0], [0, 0.06, 0.08])
 FREE = Obstacles(MOUNT, 0.02, table_z=0.0)

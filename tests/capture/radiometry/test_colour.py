@@ -5,21 +5,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from capture.radiometry.bench import errors, lines
-from capture.radiometry.flat import measured, statistics
-from capture.recording.check import check
-from capture.recording.recorder import record
-from capture.rig.opening import open_camera, open_rig
-from capture.trajectory import Trajectory, load_trajectory
-from datasets import pose
-from datasets.build import build
-from datasets.calibration import Calibration, UncertainPose
-from datasets.core import files
-from datasets.core.errors import DatasetError, UsageError
-from datasets.formats import load_scene
-from datasets.imaging import images
-from datasets.imaging.region import Region
-from datasets.recording import Recording
+from koala3d.capture.radiometry.bench import errors, lines
+from koala3d.capture.radiometry.flat import measured, statistics
+from koala3d.capture.recording.check import check
+from koala3d.capture.recording.recorder import record
+from koala3d.capture.rig.opening import open_camera, open_rig
+from koala3d.capture.trajectory import Trajectory, load_trajectory
+from koala3d.datasets import pose
+from koala3d.datasets.build import build
+from koala3d.datasets.calibration import Calibration, UncertainPose
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import DatasetError, UsageError
+from koala3d.datasets.formats import load_scene
+from koala3d.datasets.imaging import images
+from koala3d.datasets.imaging.region import Region
+from koala3d.datasets.recording import Recording
 
 SMALL = ("camera.binning=4", "camera.width=96", "camera.height=64", "motion.settle_time_s=0.02")
 TWO = "views=[{kind: orbit, target: [0.4, 0, 0.14], distance: 0.4, count: 2, roll_deg: [0, 90, 180, 270]}]"
@@ -70,7 +70,7 @@ def recorded(tmp_path_factory) -> tuple[Path, Path]:
 def calibration(tmp_path: Path, recorded) -> Path:
     truth = files.read_json(recorded[0] / "truth" / "poses.json")
     known = UncertainPose(np.array(truth["flange_from_camera"]), 1e-8 * np.eye(6))
-    from datasets.camera_model import Camera
+    from koala3d.datasets.camera_model import Camera
 
     camera = Camera.from_json(truth["camera"], where="truth")
     region = Region.from_json(Recording.open(recorded[0]).part("camera")["region"], where="truth")

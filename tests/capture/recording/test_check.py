@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, uniform_filter1d
 
-from capture.recording.check import check, to_take_again
-from capture.trajectory import load_trajectory
-from datasets import pose
-from datasets.core import files
-from datasets.core.errors import KoalaError
-from datasets.imaging import images
-from datasets.recording import Frame, Recording
+from koala3d.capture.recording.check import check, to_take_again
+from koala3d.capture.trajectory import load_trajectory
+from koala3d.datasets import pose
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import KoalaError
+from koala3d.datasets.imaging import images
+from koala3d.datasets.recording import Frame, Recording
 
 COUNT, SIZE = 8, (96, 120)
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, rotate, uniform_filter1d
 
-from capture.recording.focus import luminance, sharpness
+from koala3d.capture.recording.focus import luminance, sharpness
 
 
 def picture(seed: int = 0, noise: float = 0.0) -> np.ndarray:

@@ -8,17 +8,17 @@ from typing import Any, Self
 import numpy as np
 import pytest
 
-from capture import kinematics
-from capture.arms.model import load_arm
-from capture.planning import PlannedView
-from capture.recording.recorder import record
-from capture.rig.description import CameraDescription, RigDescription
-from capture.rig.opening import Rig
-from capture.rig.protocols import Image, RobotState
-from capture.trajectory import Trajectory
-from datasets.core import files
-from datasets.core.errors import UsageError
-from datasets.recording import FRAMES, MANIFEST, Recording
+from koala3d.capture import kinematics
+from koala3d.capture.arms.model import load_arm
+from koala3d.capture.planning import PlannedView
+from koala3d.capture.recording.recorder import record
+from koala3d.capture.rig.description import CameraDescription, RigDescription
+from koala3d.capture.rig.opening import Rig
+from koala3d.capture.rig.protocols import Image, RobotState
+from koala3d.capture.trajectory import Trajectory
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.recording import FRAMES, MANIFEST, Recording
 
 ROBOT = {"model": "UR5e", "serial": "20235500001"}
 CAMERA = {"model": "acA1920-25uc", "serial": "21000001"}

@@ -5,20 +5,20 @@ from typing import Any, Self
 import numpy as np
 import pytest
 
-from capture import kinematics
-from capture.arms.model import load_arm
-from capture.errors import MotionError
-from capture.planning import plan
-from capture.recording.check import check
-from capture.recording.recorder import record
-from capture.rig.description import RigDescription
-from capture.rig.opening import Rig
-from capture.rig.protocols import Image, RobotState
-from capture.trajectory import Trajectory, load_trajectory
-from datasets.core import files
-from datasets.core.errors import UsageError
-from datasets.imaging import images
-from datasets.recording import Recording
+from koala3d.capture import kinematics
+from koala3d.capture.arms.model import load_arm
+from koala3d.capture.errors import MotionError
+from koala3d.capture.planning import plan
+from koala3d.capture.recording.check import check
+from koala3d.capture.recording.recorder import record
+from koala3d.capture.rig.description import RigDescription
+from koala3d.capture.rig.opening import Rig
+from koala3d.capture.rig.protocols import Image, RobotState
+from koala3d.capture.trajectory import Trajectory, load_trajectory
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.imaging import images
+from koala3d.datasets.recording import Recording
 
 
 class StandInRobot:

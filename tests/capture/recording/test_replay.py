@@ -1,16 +1,16 @@
 import numpy as np
 import pytest
 
-from capture import kinematics
-from capture.errors import CaptureError
-from capture.measurements import RobotState
-from capture.planning import plan
-from capture.recording.replay import replay, summary
-from capture.rig.description import RigDescription
-from capture.trajectory import load_trajectory
-from datasets import pose
-from datasets.core import files
-from datasets.recording import Frame, Recording
+from koala3d.capture import kinematics
+from koala3d.capture.errors import CaptureError
+from koala3d.capture.measurements import RobotState
+from koala3d.capture.planning import plan
+from koala3d.capture.recording.replay import replay, summary
+from koala3d.capture.rig.description import RigDescription
+from koala3d.capture.trajectory import load_trajectory
+from koala3d.datasets import pose
+from koala3d.datasets.core import files
+from koala3d.datasets.recording import Frame, Recording
 
 MOUNT = pose.from_rotation_vector([0.2, 0, 0.1], [0, 0.05, 0.08])
 

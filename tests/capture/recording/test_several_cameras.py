@@ -8,18 +8,18 @@ from typing import Any, Self
 import numpy as np
 import pytest
 
-from capture import kinematics
-from capture.arms.model import load_arm
-from capture.errors import CaptureError
-from capture.planning import PlannedView, plan
-from capture.recording.growing import GrowingRecording
-from capture.recording.recorder import record
-from capture.rig.description import RigDescription, recorded_rig
-from capture.rig.opening import Rig, describe
-from capture.rig.protocols import Image, RobotState
-from capture.trajectory import Trajectory, load_trajectory
-from datasets.core.errors import KoalaError, UsageError
-from datasets.recording import FRAMES, MANIFEST, Recording
+from koala3d.capture import kinematics
+from koala3d.capture.arms.model import load_arm
+from koala3d.capture.errors import CaptureError
+from koala3d.capture.planning import PlannedView, plan
+from koala3d.capture.recording.growing import GrowingRecording
+from koala3d.capture.recording.recorder import record
+from koala3d.capture.rig.description import RigDescription, recorded_rig
+from koala3d.capture.rig.opening import Rig, describe
+from koala3d.capture.rig.protocols import Image, RobotState
+from koala3d.capture.trajectory import Trajectory, load_trajectory
+from koala3d.datasets.core.errors import KoalaError, UsageError
+from koala3d.datasets.recording import FRAMES, MANIFEST, Recording
 
 PAIR = describe("ur5e_stereo")
 
@@ -177,7 +177,7 @@ def test_the_disk_must_have_room_for_all_cameras(
     trajectory: Trajectory, rig: Rig, views: list[PlannedView], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[int] = []
-    monkeypatch.setattr("capture.recording.recorder.require_room", lambda out, size, what: asked.append(size))
+    monkeypatch.setattr("koala3d.capture.recording.recorder.require_room", lambda out, size, what: asked.append(size))
     record(trajectory, rig, tmp_path / "two", planned=views[:1])
     record(trajectory, replace(rig, cameras={}), tmp_path / "one", planned=views[:1])
     assert asked[0] == 2 * asked[1] > 0

@@ -3,12 +3,12 @@ import threading
 import numpy as np
 import pytest
 
-from capture.measurements import Image
-from capture.recording import writer as module
-from capture.recording.writer import Writer
-from datasets.core import files
-from datasets.imaging import images
-from datasets.recording import Frame, Recording
+from koala3d.capture.measurements import Image
+from koala3d.capture.recording import writer as module
+from koala3d.capture.recording.writer import Writer
+from koala3d.datasets.core import files
+from koala3d.datasets.imaging import images
+from koala3d.datasets.recording import Frame, Recording
 from tests.moments import until
 
 

@@ -5,20 +5,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from capture.cli import main
-from capture.planning import plan
-from capture.recording.replay import replay, summary
-from capture.rig.description import load_rig, recorded_carrier
-from capture.rig.opening import controller_model, describe, open_arm
-from capture.trajectory import Trajectory, load_trajectory
-from datasets import pose
-from datasets.build import build
-from datasets.calibration import Calibration, UncertainPose
-from datasets.camera_model import Camera
-from datasets.core import files
-from datasets.core.errors import UsageError
-from datasets.formats import load_scene
-from datasets.recording import Recording
+from koala3d.capture.cli import main
+from koala3d.capture.planning import plan
+from koala3d.capture.recording.replay import replay, summary
+from koala3d.capture.rig.description import load_rig, recorded_carrier
+from koala3d.capture.rig.opening import controller_model, describe, open_arm
+from koala3d.capture.trajectory import Trajectory, load_trajectory
+from koala3d.datasets import pose
+from koala3d.datasets.build import build
+from koala3d.datasets.calibration import Calibration, UncertainPose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.formats import load_scene
+from koala3d.datasets.recording import Recording
 
 SMALL = ["camera.width=48", "camera.height=36", "camera.binning=1", "views.0.count=3", "split.train=2", "split.test=1"]
 SMALL += ["views.0.rings=1", "views.0.elevation_deg=[45, 45]"]
@@ -110,7 +110,7 @@ def test_what_does_not_fit_is_one_clear_line(tmp_path: Path, text: str, words: s
 def test_files_beside_a_rig_file_are_found(tmp_path: Path) -> None:
     import trimesh
 
-    from capture import arms
+    from koala3d.capture import arms
 
     shipped = Path(arms.__file__).parents[2] / "configs" / "arms" / "ur3e.yaml"
     (tmp_path / "mine.yaml").write_text(shipped.read_text().replace("name: UR3e", "name: Mine"))

@@ -12,15 +12,15 @@ import cv2
 import numpy as np
 import pytest
 
-from capture.cameras.basler import Basler
-from capture.cameras.device import Device
-from capture.errors import CaptureError
-from capture.measurements import Image
-from capture.rig import contract
-from capture.rig.contract import CONTRACT, KEYS, Broken, Subject, check
-from capture.rig.opening import camera_for
-from capture.trajectory import CameraSettings, load_trajectory
-from datasets.imaging import images
+from koala3d.capture.cameras.basler import Basler
+from koala3d.capture.cameras.device import Device
+from koala3d.capture.errors import CaptureError
+from koala3d.capture.measurements import Image
+from koala3d.capture.rig import contract
+from koala3d.capture.rig.contract import CONTRACT, KEYS, Broken, Subject, check
+from koala3d.capture.rig.opening import camera_for
+from koala3d.capture.trajectory import CameraSettings, load_trajectory
+from koala3d.datasets.imaging import images
 
 SMALL = CameraSettings(width=64, height=48, binning=4, exposure_us=2000)
 FREE = ["exposure_us", "gain_db", "colour_space", "factory_settings", "trigger"]
@@ -49,9 +49,9 @@ def basler(name: str) -> Subject:
 
 def realsense() -> Subject:
     needs("pyrealsense2")
-    from capture.cameras.realsense import RealSense
-    from capture.sim.realsense_device import SoftwareRealSense
-    from capture.sim.truth import RigTruth
+    from koala3d.capture.cameras.realsense import RealSense
+    from koala3d.capture.sim.realsense_device import SoftwareRealSense
+    from koala3d.capture.sim.truth import RigTruth
 
     device = Device.model_validate(
         {
@@ -69,7 +69,7 @@ def realsense() -> Subject:
 
 
 def numbered_pictures(folder: Path) -> Subject:
-    from capture.cameras.opencv import OpenCvCamera
+    from koala3d.capture.cameras.opencv import OpenCvCamera
 
     for number in range(4):
         images.write(folder / f"{number:03d}.png", np.random.default_rng(number).integers(0, 255, (48, 64, 3), np.uint8))
@@ -84,7 +84,7 @@ def film(folder: Path) -> Subject:
     for number in range(4):
         writer.write(np.full((48, 64, 3), 50 * number, np.uint8))
     writer.release()
-    from capture.cameras.opencv import OpenCvCamera
+    from koala3d.capture.cameras.opencv import OpenCvCamera
 
     device = Device.model_validate({"model": "opencv", "source": str(folder / "film.avi"), "leave": FREE[:2]})
     return Subject(lambda wanted: OpenCvCamera(wanted, device), CameraSettings(width=64, height=48), ({"width": 65},))
@@ -92,7 +92,7 @@ def film(folder: Path) -> Subject:
 
 def genicam() -> Subject:
     needs("harvesters", "genicam")
-    from capture.cameras.gentl import GenTlCamera
+    from koala3d.capture.cameras.gentl import GenTlCamera
 
     device = Device.model_validate(
         {"model": "genicam", "source": producer(), "serial": "0", "leave": FREE, "settings": {"AcquisitionFrameRate": 200.0}}
@@ -111,7 +111,7 @@ def producer() -> str:
 
 def gphoto(folder: Path) -> Subject:
     needs("gphoto2")
-    from capture.cameras.gphoto import GphotoCamera
+    from koala3d.capture.cameras.gphoto import GphotoCamera
 
     pictures = folder / "store"
     cards = pictures / "DCIM" / "100GPHOT"

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from capture.planning import Obstacles
-from capture.rig.description import RigDescription, load_rig
-from capture.rig.opening import describe
-from datasets.core.errors import UsageError
+from koala3d.capture.planning import Obstacles
+from koala3d.capture.rig.description import RigDescription, load_rig
+from koala3d.capture.rig.opening import describe
+from koala3d.datasets.core.errors import UsageError
 
 
 def test_the_shipped_rig_is_the_default_one():

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 import yaml
 
-from capture.errors import RigConnectionError
-from capture.rig import opening
-from capture.rig.description import RigDescription, load_rig, recorded_rig
-from capture.rig.opening import describe, open_arm, open_rig, scene_for, write_simulated_rig
-from capture.sim.controller.process import SimulatedController
-from capture.sim.grbl import SimulatedGrbl
-from capture.trajectory import Trajectory, load_trajectory
-from datasets.core.errors import UsageError
-from datasets.recording import Recording
+from koala3d.capture.errors import RigConnectionError
+from koala3d.capture.rig import opening
+from koala3d.capture.rig.description import RigDescription, load_rig, recorded_rig
+from koala3d.capture.rig.opening import describe, open_arm, open_rig, scene_for, write_simulated_rig
+from koala3d.capture.sim.controller.process import SimulatedController
+from koala3d.capture.sim.grbl import SimulatedGrbl
+from koala3d.capture.trajectory import Trajectory, load_trajectory
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.recording import Recording
 
 SMALL = ["camera.width=48", "camera.height=48", "camera.binning=4"]
 
@@ -137,8 +137,10 @@ def test_a_second_camera_that_cannot_be_opened_is_named_and_the_first_one_closed
         watched.append("camera")
         return camera
 
-    monkeypatch.setattr("capture.sim.camera.SimulatedCamera.__enter__", enter)
-    monkeypatch.setattr("capture.sim.camera.SimulatedCamera.__exit__", lambda camera, *error: watched.append("camera closed"))
+    monkeypatch.setattr("koala3d.capture.sim.camera.SimulatedCamera.__enter__", enter)
+    monkeypatch.setattr(
+        "koala3d.capture.sim.camera.SimulatedCamera.__exit__", lambda camera, *error: watched.append("camera closed")
+    )
     with pytest.raises(RigConnectionError, match=r"^camera 'right', camera 7: no camera was found; check its cable$"):
         with open_rig("sim:ur5e_stereo", koala, scene="shiny_ball", seed=0, time_scale=20):
             raise AssertionError("not reached")
@@ -187,7 +189,7 @@ def test_a_camera_that_cannot_be_opened_leaves_no_controller(
     def fail(camera: Any) -> None:
         raise RigConnectionError("no camera")
 
-    monkeypatch.setattr("capture.sim.camera.SimulatedCamera.__enter__", fail)
+    monkeypatch.setattr("koala3d.capture.sim.camera.SimulatedCamera.__enter__", fail)
     with pytest.raises(RigConnectionError, match="no camera"):
         with open_rig("sim", koala, scene="shiny_ball", seed=0, time_scale=20):
             raise AssertionError("not reached")

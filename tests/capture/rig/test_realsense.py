@@ -7,21 +7,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from capture.doctor.examine import examine
-from capture.doctor.lines import Verdict
-from capture.planning import plan
-from capture.recording.check import check
-from capture.recording.recorder import _size, record
-from capture.rig.opening import describe, open_rig
-from capture.trajectory import load_trajectory
-from datasets.build import build
-from datasets.calibration import Calibration, UncertainPose
-from datasets.camera_model import Camera
-from datasets.core import files
-from datasets.core.errors import DatasetError
-from datasets.formats import load_scene
-from datasets.imaging import images
-from datasets.recording import Recording
+from koala3d.capture.doctor.examine import examine
+from koala3d.capture.doctor.lines import Verdict
+from koala3d.capture.planning import plan
+from koala3d.capture.recording.check import check
+from koala3d.capture.recording.recorder import _size, record
+from koala3d.capture.rig.opening import describe, open_rig
+from koala3d.capture.trajectory import load_trajectory
+from koala3d.datasets.build import build
+from koala3d.datasets.calibration import Calibration, UncertainPose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import DatasetError
+from koala3d.datasets.formats import load_scene
+from koala3d.datasets.imaging import images
+from koala3d.datasets.recording import Recording
 
 pytest.importorskip("pyrealsense2", exc_type=ImportError)  # or its libusb is absent
 

@@ -4,9 +4,9 @@ from collections.abc import Callable
 
 import pytest
 
-from capture.robots.settling import Settling
-from capture.robots.timing import Deadlines
-from capture.robots.ur import UniversalRobot
+from koala3d.capture.robots.settling import Settling
+from koala3d.capture.robots.timing import Deadlines
+from koala3d.capture.robots.ur import UniversalRobot
 
 BUSY = Deadlines(stale_s=1.0, watchdog_hz=1.0)
 """Tests run beside others on two cores: a pause of half a second is no fault there."""

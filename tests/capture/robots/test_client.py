@@ -5,11 +5,11 @@ import sys
 import numpy as np
 import pytest
 
-from capture.errors import RigConnectionError
-from capture.robots import client, koala_client
-from capture.robots.client import StartError, StartFailure, open_client
-from capture.robots.ur import UniversalRobot
-from capture.sim.controller.process import SimulatedController
+from koala3d.capture.errors import RigConnectionError
+from koala3d.capture.robots import client, koala_client
+from koala3d.capture.robots.client import StartError, StartFailure, open_client
+from koala3d.capture.robots.ur import UniversalRobot
+from koala3d.capture.sim.controller.process import SimulatedController
 
 
 @pytest.fixture
@@ -24,9 +24,9 @@ def opened(monkeypatch):
             names.append(self.kind)
 
     monkeypatch.setattr(koala_client, "KoalaClient", type("Koala", (Opened,), {"kind": "koala"}))
-    vendor = type(sys)("capture.robots.vendor_client")
+    vendor = type(sys)("koala3d.capture.robots.vendor_client")
     vendor.VendorClient = type("Vendor", (Opened,), {"kind": "ur_rtde"})
-    monkeypatch.setitem(sys.modules, "capture.robots.vendor_client", vendor)
+    monkeypatch.setitem(sys.modules, "koala3d.capture.robots.vendor_client", vendor)
     return names
 
 
@@ -37,7 +37,7 @@ def test_the_vendors_client_is_the_default(opened, choice, taken):
 
 
 def test_without_it_ours_is_taken_or_the_reason_is_given(opened, monkeypatch):
-    monkeypatch.setitem(sys.modules, "capture.robots.vendor_client", None)
+    monkeypatch.setitem(sys.modules, "koala3d.capture.robots.vendor_client", None)
     open_client("auto", "127.0.0.1", 125.0, 5.0)
     assert opened == ["koala"]
     with pytest.raises(StartError, match="ur-rtde is not installed") as caught:

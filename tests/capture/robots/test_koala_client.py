@@ -5,10 +5,10 @@ import time
 import numpy as np
 import pytest
 
-from capture.robots import koala_client
-from capture.robots.client import StartError, StartFailure
-from capture.robots.koala_client import KoalaClient
-from capture.sim.controller.process import SimulatedController
+from koala3d.capture.robots import koala_client
+from koala3d.capture.robots.client import StartError, StartFailure
+from koala3d.capture.robots.koala_client import KoalaClient
+from koala3d.capture.sim.controller.process import SimulatedController
 from tests.moments import until
 
 STEP = np.array([0.3, 0.1, -0.1, 0.2, 0.0, 0.1])

@@ -11,11 +11,11 @@ from functools import partial
 import numpy as np
 import pytest
 
-from capture.errors import CaptureError, MotionError, NotReady, ProtectiveStop, RigConnectionError, StopLatched
-from capture.robots.pendant import connect as connect_pendant
-from capture.robots.stand_in import program_state
-from capture.robots.ur import UniversalRobot
-from capture.sim.controller.process import SimulatedController
+from koala3d.capture.errors import CaptureError, MotionError, NotReady, ProtectiveStop, RigConnectionError, StopLatched
+from koala3d.capture.robots.pendant import connect as connect_pendant
+from koala3d.capture.robots.stand_in import program_state
+from koala3d.capture.robots.ur import UniversalRobot
+from koala3d.capture.sim.controller.process import SimulatedController
 from tests.capture.moving import FAR, UNHURRIED, in_motion, moves, stopped_on_its_way
 from tests.capture.robots.conftest import BUSY
 from tests.moments import until
@@ -124,8 +124,8 @@ def test_without_primary_interface_it_cannot_be_reached(simulated):
 
 def test_the_arm_stops_when_the_program_is_killed(simulated):
     code = f"""if True:
-        from capture.robots.timing import Deadlines
-        from capture.robots.ur import UniversalRobot
+        from koala3d.capture.robots.timing import Deadlines
+        from koala3d.capture.robots.ur import UniversalRobot
         with UniversalRobot({simulated.host!r}, deadlines=Deadlines(stale_s=1.0, watchdog_hz=1.0)) as robot:
             print("ready", flush=True)
             robot.move_to({FAR.tolist()}, speed=0.4, acceleration=1.4)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from capture.robots.settling import Settling, Window
-from capture.sim.controller.arm import RINGING_DECAY_S, RINGING_HZ
-from capture.sim.controller.process import ENCODER_NOISE_RAD
+from koala3d.capture.robots.settling import Settling, Window
+from koala3d.capture.sim.controller.arm import RINGING_DECAY_S, RINGING_HZ
+from koala3d.capture.sim.controller.process import ENCODER_NOISE_RAD
 
 RATE_HZ = 500.0
 SETTLING = Settling()

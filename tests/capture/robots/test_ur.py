@@ -12,15 +12,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from capture.errors import CaptureError, MotionError, NotReady, ProtectiveStop, RigConnectionError, SafetyError, StopLatched
-from capture.kinematics import forward
-from capture.robots.client import versioned
-from capture.robots.koala_client import KoalaClient
-from capture.robots.settling import Settling
-from capture.robots.ur import UniversalRobot
-from capture.sim.controller.arm import QUIET_S
-from capture.sim.controller.process import ENCODER_NOISE_RAD, SimulatedController
-from datasets import pose
+from koala3d.capture.errors import (
+    CaptureError,
+    MotionError,
+    NotReady,
+    ProtectiveStop,
+    RigConnectionError,
+    SafetyError,
+    StopLatched,
+)
+from koala3d.capture.kinematics import forward
+from koala3d.capture.robots.client import versioned
+from koala3d.capture.robots.koala_client import KoalaClient
+from koala3d.capture.robots.settling import Settling
+from koala3d.capture.robots.ur import UniversalRobot
+from koala3d.capture.sim.controller.arm import QUIET_S
+from koala3d.capture.sim.controller.process import ENCODER_NOISE_RAD, SimulatedController
+from koala3d.datasets import pose
 from tests.capture.moving import FAR, UNHURRIED, in_motion, moves, rests, stopped_on_its_way
 from tests.moments import until
 
@@ -208,8 +216,8 @@ def test_an_arm_that_never_rests_names_its_spread_and_the_key(connect):
 def test_the_arm_stops_when_the_whole_program_is_killed(client, slow):
     code = """if True:
         import sys
-        from capture.robots.timing import Deadlines
-        from capture.robots.ur import UniversalRobot
+        from koala3d.capture.robots.timing import Deadlines
+        from koala3d.capture.robots.ur import UniversalRobot
         with UniversalRobot(sys.argv[1], client=sys.argv[2], deadlines=Deadlines(stale_s=1.0, watchdog_hz=1.0)) as robot:
             print("ready", flush=True)
             robot.move_to([2.0, -1.2, 0.8, -1.5, -1.0, 0.2], speed=0.4, acceleration=1.4)

@@ -7,8 +7,8 @@ import pytest
 import trimesh
 from pydantic import TypeAdapter, ValidationError
 
-from capture.shapes.solids import AnySolid, BoxSolid, CylinderSolid, MeshSolid, Solid
-from datasets.core.errors import UsageError
+from koala3d.capture.shapes.solids import AnySolid, BoxSolid, CylinderSolid, MeshSolid, Solid
+from koala3d.datasets.core.errors import UsageError
 
 TURNED = {"position": [0.3, -0.2, 0.4], "rotation_deg": [20, -35, 50]}
 SEGMENTS = np.random.default_rng(0).uniform(-1, 1, (20, 2, 3))

@@ -3,16 +3,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from capture.recording.focus import sharpness
-from capture.sim.camera import SimulatedCamera, blur_moments
-from capture.sim.laboratory.views import check_scene
-from capture.sim.truth import RigTruth
-from capture.trajectory import Trajectory, load_trajectory
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.core import files
-from datasets.core.errors import UsageError
-from datasets.imaging import images
+from koala3d.capture.recording.focus import sharpness
+from koala3d.capture.sim.camera import SimulatedCamera, blur_moments
+from koala3d.capture.sim.laboratory.views import check_scene
+from koala3d.capture.sim.truth import RigTruth
+from koala3d.capture.trajectory import Trajectory, load_trajectory
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.imaging import images
 
 TRUTH = RigTruth.draw(np.eye(4), 0)
 

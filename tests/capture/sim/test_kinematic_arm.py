@@ -5,10 +5,10 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from capture.arms.model import load_arm
-from capture.errors import MotionError, RigConnectionError, SafetyError, StopLatched
-from capture.sim.kinematic_arm import KinematicArm
-from datasets import pose
+from koala3d.capture.arms.model import load_arm
+from koala3d.capture.errors import MotionError, RigConnectionError, SafetyError, StopLatched
+from koala3d.capture.sim.kinematic_arm import KinematicArm
+from koala3d.datasets import pose
 from tests.moments import as_soon_as, until
 
 PANDA = load_arm("panda")

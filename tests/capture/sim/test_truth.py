@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from capture.sim.truth import FOCAL_PX, RigTruth
-from datasets import pose
+from koala3d.capture.sim.truth import FOCAL_PX, RigTruth
+from koala3d.datasets import pose
 
 NOMINAL = pose.from_rotation_vector([0.7, 0, 0.1], [0, 0.06, 0.08])
 

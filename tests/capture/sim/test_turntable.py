@@ -4,19 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from capture.rig.description import RigDescription
-from capture.sim.camera import SimulatedCamera, StillArm
-from capture.sim.laboratory.renderer import Renderer
-from capture.sim.laboratory.scenes import STILL, stage
-from capture.sim.truth import RigTruth
-from capture.sim.turntable import GEAR_RAD, SimulatedTurntable, TurntableTruth
-from capture.trajectory import load_trajectory
-from capture.turntables.grbl import GrblTurntable
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.core import files
-from datasets.imaging import images
-from datasets.turntable import Axis
+from koala3d.capture.rig.description import RigDescription
+from koala3d.capture.sim.camera import SimulatedCamera, StillArm
+from koala3d.capture.sim.laboratory.renderer import Renderer
+from koala3d.capture.sim.laboratory.scenes import STILL, stage
+from koala3d.capture.sim.truth import RigTruth
+from koala3d.capture.sim.turntable import GEAR_RAD, SimulatedTurntable, TurntableTruth
+from koala3d.capture.trajectory import load_trajectory
+from koala3d.capture.turntables.grbl import GrblTurntable
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core import files
+from koala3d.datasets.imaging import images
+from koala3d.datasets.turntable import Axis
 
 RIG = RigDescription.model_validate({"turntable": {"base_from_turntable": {"position": [0.45, 0.05, 0.0]}}})
 

@@ -3,11 +3,11 @@ import time
 import numpy as np
 import pytest
 
-from capture.errors import MotionError, NotReady, RigConnectionError, SafetyError, StopLatched
-from capture.geometry import PoseDescription
-from capture.sim.grbl import SimulatedGrbl
-from capture.turntables.description import TurntableDescription
-from capture.turntables.grbl import GrblTurntable
+from koala3d.capture.errors import MotionError, NotReady, RigConnectionError, SafetyError, StopLatched
+from koala3d.capture.geometry import PoseDescription
+from koala3d.capture.sim.grbl import SimulatedGrbl
+from koala3d.capture.turntables.description import TurntableDescription
+from koala3d.capture.turntables.grbl import GrblTurntable
 from tests.moments import as_soon_as
 
 STEP_RAD = np.radians(1 / 80)  # of the simulated motor
@@ -87,7 +87,7 @@ def test_an_alarm_is_refused_and_homing_ends_it():
 
 
 def test_a_blocked_table_is_reported(monkeypatch):
-    monkeypatch.setattr("capture.turntables.grbl.SPARE_S", 0.1)
+    monkeypatch.setattr("koala3d.capture.turntables.grbl.SPARE_S", 0.1)
     with SimulatedGrbl(time_scale=50) as controller:
         with pytest.raises(MotionError, match=r"does not arrive.*57.30 from its target"):
             with GrblTurntable(table_at(controller.address, max_speed=20.0)) as table:
@@ -99,9 +99,9 @@ def test_a_silent_controller_is_reported(monkeypatch):
     with SimulatedGrbl(time_scale=50) as controller:
         with pytest.raises(RigConnectionError, match="went silent"), GrblTurntable(table_at(controller.address)) as table:
             controller.silent = True
-            monkeypatch.setattr("capture.turntables.grbl.ANSWER_S", 0.1)
+            monkeypatch.setattr("koala3d.capture.turntables.grbl.ANSWER_S", 0.1)
             table.turn_to(1.0)
-        monkeypatch.setattr("capture.turntables.grbl.AWAKE_S", 0.3)
+        monkeypatch.setattr("koala3d.capture.turntables.grbl.AWAKE_S", 0.3)
         with pytest.raises(RigConnectionError, match="does not answer"), GrblTurntable(table_at(controller.address)):
             pass
 

@@ -6,18 +6,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.checks import blur, coverage, exposure, intrinsics, motion, single_poses
-from datasets.checks.evidence import Evidence
-from datasets.checks.matches import check_evidence
-from datasets.core.findings import Finding
-from datasets.injuries import injure
-from datasets.injuries.bench import seen_again
-from datasets.scene import Scene
-from datasets.structure.epipolar import Correction
-from datasets.structure.matching import Matches
-from datasets.structure.triangulate import agreement
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.checks import blur, coverage, exposure, intrinsics, motion, single_poses
+from koala3d.datasets.checks.evidence import Evidence
+from koala3d.datasets.checks.matches import check_evidence
+from koala3d.datasets.core.findings import Finding
+from koala3d.datasets.injuries import injure
+from koala3d.datasets.injuries.bench import seen_again
+from koala3d.datasets.scene import Scene
+from koala3d.datasets.structure.epipolar import Correction
+from koala3d.datasets.structure.matching import Matches
+from koala3d.datasets.structure.triangulate import agreement
 
 LENS = Camera(320, 240, 340.0, 340.0, 160.0, 120.0)
 

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets import pose
-from datasets.checks.check import check, summary
-from datasets.formats import koala, load_scene
-from datasets.imaging import images
-from datasets.scene import Scene
+from koala3d.datasets import pose
+from koala3d.datasets.checks.check import check, summary
+from koala3d.datasets.formats import koala, load_scene
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import Scene
 
 
 @pytest.fixture

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from datasets import pose
-from datasets.checks.matches import CONVENTIONS, check_matches
-from datasets.conventions import OPENCV_FROM_LLFF, OPENCV_FROM_OPENGL
-from datasets.imaging import images
-from datasets.scene import Scene
+from koala3d.datasets import pose
+from koala3d.datasets.checks.matches import CONVENTIONS, check_matches
+from koala3d.datasets.conventions import OPENCV_FROM_LLFF, OPENCV_FROM_OPENGL
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import Scene
 
 MISTAKES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "OpenGL camera axes (y up, z back) taken for OpenCV's": lambda m: m @ OPENCV_FROM_OPENGL,

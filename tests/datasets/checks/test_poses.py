@@ -4,11 +4,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.checks.poses import check_poses
-from datasets.core.findings import Finding
-from datasets.scene import Scene
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.checks.poses import check_poses
+from koala3d.datasets.core.findings import Finding
+from koala3d.datasets.scene import Scene
 
 
 def words(found: list[Finding]) -> list[str]:

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.core import arrays
-from datasets.core.errors import DatasetError, UsageError
+from koala3d.datasets.core import arrays
+from koala3d.datasets.core.errors import DatasetError, UsageError
 
 
 @pytest.mark.parametrize(

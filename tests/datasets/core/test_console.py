@@ -10,8 +10,8 @@ from typing import Annotated
 import pytest
 import typer
 
-from datasets.core import console
-from datasets.core.errors import KoalaError, UsageError, nearest
+from koala3d.datasets.core import console
+from koala3d.datasets.core.errors import KoalaError, UsageError, nearest
 
 
 def outcome(
@@ -89,7 +89,7 @@ def test_the_shell_completes_names(typed: str, offered: str) -> None:
     """As bash asks for it, after `datasets --install-completion`."""
     words = typed.split(" ")
     asked = {"_DATASETS_COMPLETE": "complete_bash", "COMP_WORDS": "\n".join(words), "COMP_CWORD": str(len(words) - 1)}
-    code = "import sys; sys.argv = ['datasets']; from datasets.cli import main; main()"
+    code = "import sys; sys.argv = ['datasets']; from koala3d.datasets.cli import main; main()"
     done = subprocess.run([sys.executable, "-c", code], env={**os.environ, **asked}, capture_output=True, text=True, timeout=60)
     assert offered in done.stdout.split(), done.stderr
 

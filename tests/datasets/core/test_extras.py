@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from datasets.core.extras import EXTRAS, not_installed
+from koala3d.datasets.core.extras import EXTRAS, not_installed
 
 ROOT = Path(__file__).parents[3]
 
@@ -28,7 +28,7 @@ def test_other_missing_modules_are_not_ours() -> None:
 def test_command_without_its_extra_ends_with_one_line(tmp_path: Path) -> None:
     """The import of viser is refused in a fresh interpreter, as if it were not installed."""
     program = "import sys; sys.modules['viser'] = None; sys.argv = ['datasets', 'view', sys.argv[1]]\n"
-    program += "from datasets.cli import main; main()"
+    program += "from koala3d.datasets.cli import main; main()"
     done = subprocess.run([sys.executable, "-c", program, str(tmp_path)], capture_output=True, text=True, cwd=ROOT)
     assert done.returncode == 1 and "Traceback" not in done.stderr
     assert "viser is not installed; pip install 'koala-capture[view]'" in done.stderr

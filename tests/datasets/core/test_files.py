@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.core import files
-from datasets.core.errors import DatasetError, UsageError
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import DatasetError, UsageError
 
 
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt, OSError])

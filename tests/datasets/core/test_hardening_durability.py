@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from datasets.core import files
+from koala3d.datasets.core import files
 
 
 class Flushes:

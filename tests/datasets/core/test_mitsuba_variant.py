@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from datasets.core import mitsuba_variant
-from datasets.core.mitsuba_variant import FAST, LIBRARY, SURE, libraries, variant
+from koala3d.datasets.core import mitsuba_variant
+from koala3d.datasets.core.mitsuba_variant import FAST, LIBRARY, SURE, libraries, variant
 
 TRIAL = "a.trial"
 

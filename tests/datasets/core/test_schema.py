@@ -5,8 +5,8 @@ from typing import Annotated, Literal
 import pytest
 from pydantic import Field
 
-from datasets.core.errors import UsageError
-from datasets.core.schema import Schema, load_yaml
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.core.schema import Schema, load_yaml
 
 
 class _Orbit(Schema):

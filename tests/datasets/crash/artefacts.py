@@ -19,15 +19,15 @@ from unittest import mock
 
 import numpy as np
 
-from datasets import pose
-from datasets.build import build
-from datasets.calibration import Calibration, UncertainPose
-from datasets.camera_model import Camera
-from datasets.core import files
-from datasets.core.errors import KoalaError
-from datasets.formats import load_scene
-from datasets.imaging import images
-from datasets.recording import Frame, Recording
+from koala3d.datasets import pose
+from koala3d.datasets.build import build
+from koala3d.datasets.calibration import Calibration, UncertainPose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import KoalaError
+from koala3d.datasets.formats import load_scene
+from koala3d.datasets.imaging import images
+from koala3d.datasets.recording import Frame, Recording
 
 Report = Callable[[str], None]
 CAMERA = Camera(16, 12, 20.0, 20.0, 8.0, 6.0)
@@ -56,7 +56,7 @@ class Rigged:
     """An arm and a camera in one; its pictures follow from where it stands."""
 
     def __init__(self) -> None:
-        from capture.arms.model import load_arm
+        from koala3d.capture.arms.model import load_arm
 
         self.joints = load_arm("ur5e").home.copy()
 
@@ -69,15 +69,15 @@ class Rigged:
         self.joints = np.array(joints)
 
     def state(self, *, newer_than_ns: int = 0) -> Any:
-        from capture import kinematics
-        from capture.rig.protocols import RobotState
+        from koala3d.capture import kinematics
+        from koala3d.capture.rig.protocols import RobotState
 
         return RobotState(kinematics.forward(self.joints), self.joints.copy(), np.zeros(6), time.monotonic(), time.monotonic_ns())
 
     def stop(self) -> None: ...
 
     def grab(self) -> Any:
-        from capture.rig.protocols import Image
+        from koala3d.capture.rig.protocols import Image
 
         seed = int(abs(self.joints).sum() * 1e6)
         return Image(
@@ -89,11 +89,11 @@ class Rigged:
 
 
 def _record(sources: Path, folder: Path, report: Report = lambda name: None) -> None:
-    from capture.planning import plan
-    from capture.recording.recorder import record
-    from capture.rig.description import RigDescription
-    from capture.rig.opening import Rig
-    from capture.trajectory import load_trajectory
+    from koala3d.capture.planning import plan
+    from koala3d.capture.recording.recorder import record
+    from koala3d.capture.rig.description import RigDescription
+    from koala3d.capture.rig.opening import Rig
+    from koala3d.capture.trajectory import load_trajectory
 
     trajectory = load_trajectory("koala_demo", overrides=THREE)
     both = Rigged()
@@ -203,10 +203,10 @@ State = namedtuple("State", ["step", "weights"])
 
 
 def _run_of(folder: Path) -> Any:
-    from reconstruct.config import Config
-    from reconstruct.run import Run
-    from reconstruct.scene.facts import SceneFacts
-    from reconstruct.scene.rays import Normalisation
+    from koala3d.reconstruct.config import Config
+    from koala3d.reconstruct.run import Run
+    from koala3d.reconstruct.scene.facts import SceneFacts
+    from koala3d.reconstruct.scene.rays import Normalisation
 
     if (folder / "run" / "run.json").exists():
         return Run.open(folder / "run")
@@ -216,7 +216,7 @@ def _run_of(folder: Path) -> Any:
 
 def _train(sources: Path, folder: Path, report: Report = lambda name: None) -> None:
     """As `reconstruct.training.loop` does it, with steps that cost nothing; `--resume` where there is a checkpoint."""
-    from reconstruct import checkpoint
+    from koala3d.reconstruct import checkpoint
 
     run = _run_of(folder)
     state = State(np.int32(0), np.arange(300, dtype=np.float32))
@@ -232,8 +232,8 @@ def _train(sources: Path, folder: Path, report: Report = lambda name: None) -> N
 
 
 def _trained(folder: Path) -> Any:
-    from reconstruct import checkpoint
-    from reconstruct.run import Run
+    from koala3d.reconstruct import checkpoint
+    from koala3d.reconstruct.run import Run
 
     run = Run.open(folder / "run")
     state, clock = checkpoint.load(run.path / "checkpoints", State(np.int32(0), np.zeros(300, np.float32)))
@@ -242,7 +242,7 @@ def _trained(folder: Path) -> Any:
 
 
 def _checkpoints_kept(folder: Path) -> set[str]:
-    from reconstruct import checkpoint
+    from koala3d.reconstruct import checkpoint
 
     if not checkpoint.steps(folder / "run" / "checkpoints"):
         return set()

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.camera_model import Camera
-from datasets.core.errors import UsageError
-from datasets.edit import edit
-from datasets.formats import koala, load_scene
-from datasets.imaging import images
-from datasets.scene import Scene, Sightings
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.edit import edit
+from koala3d.datasets.formats import koala, load_scene
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import Scene, Sightings
 
 LENS = Camera(96, 72, 90.0, 91.0, 50.3, 34.1, k1=-0.12, k2=0.05, p1=1e-3, p2=-8e-4, k3=0.01)
 

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.camera_model import Camera
-from datasets.core.errors import DatasetError
-from datasets.formats import colmap, detect, koala, llff, load_scene, save_scene
-from datasets.formats.colmap_files import read_model
-from datasets.formats.finding import models
-from datasets.scene import Scene
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core.errors import DatasetError
+from koala3d.datasets.formats import colmap, detect, koala, llff, load_scene, save_scene
+from koala3d.datasets.formats.colmap_files import read_model
+from koala3d.datasets.formats.finding import models
+from koala3d.datasets.scene import Scene
 from tests.foreign import colmap as foreign
 from tests.foreign import photographs
 

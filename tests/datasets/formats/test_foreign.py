@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.conventions import OPENCV_FROM_LLFF, OPENCV_FROM_OPENGL
-from datasets.core.errors import DatasetError, KoalaError, UsageError
-from datasets.formats import llff, load_scene
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.conventions import OPENCV_FROM_LLFF, OPENCV_FROM_OPENGL
+from koala3d.datasets.core.errors import DatasetError, KoalaError, UsageError
+from koala3d.datasets.formats import llff, load_scene
 from tests.foreign import photographs
 
 SIZE = (30, 40, 3)

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from datasets.camera_model import Camera
-from datasets.cli import app
-from datasets.core.errors import DatasetError
-from datasets.formats import colmap_library, load_scene, save_scene
-from datasets.scene import Scene
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.cli import app
+from koala3d.datasets.core.errors import DatasetError
+from koala3d.datasets.formats import colmap_library, load_scene, save_scene
+from koala3d.datasets.scene import Scene
 from tests.foreign import colmap as foreign
 
 pycolmap = pytest.importorskip("pycolmap")

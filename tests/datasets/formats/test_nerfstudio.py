@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from datasets.camera_model import Camera
-from datasets.conventions import OPENCV_FROM_OPENGL
-from datasets.core.errors import DatasetError
-from datasets.formats import load_scene, nerfstudio
-from datasets.imaging import images
-from datasets.scene import Scene
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.conventions import OPENCV_FROM_OPENGL
+from koala3d.datasets.core.errors import DatasetError
+from koala3d.datasets.formats import load_scene, nerfstudio
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import Scene
 
 
 @pytest.mark.parametrize("mask", [False, True])

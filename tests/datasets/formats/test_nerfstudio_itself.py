@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from datasets.camera_model import Camera
-from datasets.formats import save_scene
-from datasets.scene import Scene
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.formats import save_scene
+from koala3d.datasets.scene import Scene
 from tests.conftest import LENS, PINHOLE
 
 READS = Path(__file__).parent / "nerfstudio_reads.py"

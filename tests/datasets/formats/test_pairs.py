@@ -11,16 +11,16 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.core.errors import UsageError
-from datasets.formats import WRITERS, load_scene, save_scene
-from datasets.formats.blender import LAYOUT as BLENDER
-from datasets.formats.dtu import LAYOUT as DTU
-from datasets.formats.llff import LAYOUT as LLFF
-from datasets.formats.nerfstudio import LAYOUT as NERFSTUDIO
-from datasets.imaging import images
-from datasets.scene import Scene, Sightings, View
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.formats import WRITERS, load_scene, save_scene
+from koala3d.datasets.formats.blender import LAYOUT as BLENDER
+from koala3d.datasets.formats.dtu import LAYOUT as DTU
+from koala3d.datasets.formats.llff import LAYOUT as LLFF
+from koala3d.datasets.formats.nerfstudio import LAYOUT as NERFSTUDIO
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import Scene, Sightings, View
 
 HOLDS: dict[str, Callable[[Camera], bool]] = {name: lambda camera: True for name in WRITERS}
 HOLDS |= {"nerfstudio": NERFSTUDIO.holds, "blender": BLENDER.holds, "llff": LLFF.holds, "dtu": DTU.holds}

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from datasets.core.errors import DatasetError
-from datasets.formats.ply import read_cloud, read_points, write_points
+from koala3d.datasets.core.errors import DatasetError
+from koala3d.datasets.formats.ply import read_cloud, read_points, write_points
 from tests.foreign import meshes
 
 POINTS = np.random.default_rng(0).normal(size=(7, 3))

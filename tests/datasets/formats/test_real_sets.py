@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.core.errors import DatasetError, UsageError
-from datasets.formats import load_scene
-from datasets.imaging import images
-from datasets.scene import Scene
-from datasets.structure.bounds import corners
-from datasets.structure.measure import measured
+from koala3d.datasets.core.errors import DatasetError, UsageError
+from koala3d.datasets.formats import load_scene
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import Scene
+from koala3d.datasets.structure.bounds import corners
+from koala3d.datasets.structure.measure import measured
 
 Folder = Callable[[str], Path]
 

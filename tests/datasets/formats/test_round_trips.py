@@ -9,13 +9,13 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from datasets.camera_model import Camera
-from datasets.core.errors import DatasetError, UsageError
-from datasets.formats import blender, colmap, koala, llff, load_scene, nerfstudio
-from datasets.formats.sidecar import FILE as SIDECAR
-from datasets.imaging import images
-from datasets.scene import Scene, Sightings
-from datasets.spline import Grid, Spline
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core.errors import DatasetError, UsageError
+from koala3d.datasets.formats import blender, colmap, koala, llff, load_scene, nerfstudio
+from koala3d.datasets.formats.sidecar import FILE as SIDECAR
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import Scene, Sightings
+from koala3d.datasets.spline import Grid, Spline
 
 LENS = Camera(96, 72, 90.0, 91.0, 50.3, 34.1, k1=-0.12, k2=0.05, p1=1e-3, p2=-8e-4, k3=0.01)
 GRID = Grid(-0.9, -0.75, 0.25, 0.25, 8, 7)

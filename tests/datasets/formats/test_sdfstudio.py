@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.core.errors import DatasetError
-from datasets.formats import detect, load_scene
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core.errors import DatasetError
+from koala3d.datasets.formats import detect, load_scene
 from tests.foreign import photographs
 
 INTRINSICS = [[50.0, 1e-4, 20.5, 0.0], [0.0, 51.0, 14.5, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]

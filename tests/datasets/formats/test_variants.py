@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.camera_model import Camera
-from datasets.core.errors import DatasetError
-from datasets.formats import colmap, load_scene, save_scene
-from datasets.imaging import images
-from datasets.scene import Scene
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core.errors import DatasetError
+from koala3d.datasets.formats import colmap, load_scene, save_scene
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import Scene
 from tests.foreign import colmap as foreign_colmap
 from tests.foreign import photographs
 

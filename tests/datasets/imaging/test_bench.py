@@ -1,4 +1,4 @@
-from datasets.imaging import bench
+from koala3d.datasets.imaging import bench
 
 
 def test_photographs_are_read_in_three_ways() -> None:

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from datasets.core.errors import UsageError
-from datasets.imaging import copies, images
-from datasets.imaging.copies import Copies
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.imaging import copies, images
+from koala3d.datasets.imaging.copies import Copies
 
 RANDOM = np.random.default_rng(0)
 PICTURE = RANDOM.random((6, 8, 3), np.float32)

@@ -4,9 +4,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.camera_model import Camera
-from datasets.core.errors import DatasetError
-from datasets.imaging import bench, downscale, images
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core.errors import DatasetError
+from koala3d.datasets.imaging import bench, downscale, images
 
 RANDOM = np.random.default_rng(0)
 

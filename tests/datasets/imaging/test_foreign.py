@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from datasets.imaging import downscale, images
+from koala3d.datasets.imaging import downscale, images
 from tests.foreign import exr, photographs
 
 WRITERS = {

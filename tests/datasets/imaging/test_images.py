@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from datasets.core.errors import DatasetError, UsageError
-from datasets.imaging import images
+from koala3d.datasets.core.errors import DatasetError, UsageError
+from koala3d.datasets.imaging import images
 
 RANDOM = np.random.default_rng(0)
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from datasets.camera_model import Camera
-from datasets.core.errors import DatasetError
-from datasets.imaging import images, reduced
-from datasets.scene import View
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core.errors import DatasetError
+from koala3d.datasets.imaging import images, reduced
+from koala3d.datasets.scene import View
 from tests.foreign import photographs
 
 RANDOM = np.random.default_rng(0)

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from datasets.camera_model import Camera
-from datasets.core.errors import DatasetError
-from datasets.imaging.region import Region
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core.errors import DatasetError
+from koala3d.datasets.imaging.region import Region
 
 SENSOR = Camera(1920, 1080, 1270.0, 1271.0, 955.0, 548.0, k1=-0.1, k2=0.05, p1=1e-3, p2=-1e-3)
 SMALL, WIDE = Region(216, 216, 132, 27, 4), Region(960, 540, 0, 0, 2)

@@ -3,9 +3,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.imaging.undistort import NEAREST, SMOOTH, pinhole
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.imaging.undistort import NEAREST, SMOOTH, pinhole
 
 LENS = Camera(192, 144, 180.0, 182.0, 100.6, 68.2, k1=-0.12, k2=0.05, p1=1e-3, p2=-8e-4)
 

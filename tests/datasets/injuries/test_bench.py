@@ -3,11 +3,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.checks.evidence import Evidence
-from datasets.imaging import images
-from datasets.injuries import bench
-from datasets.injuries.injure import INJURIES, gap, shown, whole, wrong_box, wrong_distortion, wrong_focal
-from datasets.injuries.studio import Studio, write
+from koala3d.datasets.checks.evidence import Evidence
+from koala3d.datasets.imaging import images
+from koala3d.datasets.injuries import bench
+from koala3d.datasets.injuries.injure import INJURIES, gap, shown, whole, wrong_box, wrong_distortion, wrong_focal
+from koala3d.datasets.injuries.studio import Studio, write
 
 
 def test_the_table_counts_what_is_named(tmp_path: Path) -> None:

@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.checks import light, masks
-from datasets.checks.evidence import Evidence
-from datasets.injuries import injure
-from datasets.injuries.studio import SOLIDS, Studio, hits, lamps, places, write
-from datasets.scene import Scene
+from koala3d.datasets.checks import light, masks
+from koala3d.datasets.checks.evidence import Evidence
+from koala3d.datasets.injuries import injure
+from koala3d.datasets.injuries.studio import SOLIDS, Studio, hits, lamps, places, write
+from koala3d.datasets.scene import Scene
 
 SMALL = Studio(views=18, width=160, height=120, table=False)
 

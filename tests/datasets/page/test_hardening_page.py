@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 import pytest
 import viser
 
-from datasets.page import open_page
+from koala3d.datasets.page import open_page
 
 UPGRADE = (
     ("Upgrade", "websocket"),

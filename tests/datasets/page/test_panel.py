@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from datasets.page.panel import bytes_of
+from koala3d.datasets.page.panel import bytes_of
 
 
 @pytest.mark.parametrize("channels", [1, 2, 3, 4])

@@ -9,12 +9,12 @@ import pytest
 
 pytest.importorskip("viser")
 
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.page import Page, open_page
-from datasets.page.ruler import Ruler, along_ray, sighted
-from datasets.process.world.scale import KnownLength, by_length
-from datasets.scene import Scene, Sightings, View
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.page import Page, open_page
+from koala3d.datasets.page.ruler import Ruler, along_ray, sighted
+from koala3d.datasets.process.world.scale import KnownLength, by_length
+from koala3d.datasets.scene import Scene, Sightings, View
 
 POINTS = np.array([[0.0, 0, 0], [0.3, 0, 0], [0, 0, 1.0], [0.0, 0.4, 0.1]])
 CAMERA = Camera(200, 160, 180, 180, 100, 80)

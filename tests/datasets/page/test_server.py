@@ -9,8 +9,8 @@ import urllib.request
 
 import pytest
 
-from datasets.core.errors import UsageError
-from datasets.page import Page, open_page
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.page import Page, open_page
 from tests.moments import as_soon_as, until
 
 

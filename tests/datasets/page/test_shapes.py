@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from datasets import pose
-from datasets.page import shapes
+from koala3d.datasets import pose
+from koala3d.datasets.page import shapes
 
 
 @pytest.mark.parametrize("ends", [[[0, 0, 0], [0, 0, 0.5]], [[0.1, 0.2, 0.3], [-0.4, 0.25, 0.1]], [[1, 1, 1], [1, 1, 1]]])

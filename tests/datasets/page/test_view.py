@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import viser
 
-from datasets import pose
-from datasets.formats import koala
-from datasets.page import open_page, shapes
-from datasets.page.view import SceneView, caption, views_of
-from datasets.scene import Scene
+from koala3d.datasets import pose
+from koala3d.datasets.formats import koala
+from koala3d.datasets.page import open_page, shapes
+from koala3d.datasets.page.view import SceneView, caption, views_of
+from koala3d.datasets.scene import Scene
 
 
 def test_findings_are_marked_at_their_views(make_scene: Callable[..., Scene], tmp_path: Path) -> None:

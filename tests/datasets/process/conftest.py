@@ -11,10 +11,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.process.world.similarity import Similarity
-from datasets.scene import Scene, View
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.process.world.similarity import Similarity
+from koala3d.datasets.scene import Scene, View
 from tests.foreign import photographs
 
 Array = NDArray[np.float64]

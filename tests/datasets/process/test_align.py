@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.cli import app
-from datasets.core.errors import UsageError
-from datasets.formats import koala, load_scene
-from datasets.process.world import alignment
-from datasets.process.world.alignment import Wishes
-from datasets.process.world.similarity import Similarity, upwards
-from datasets.scene import Scene
+from koala3d.datasets.cli import app
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.formats import koala, load_scene
+from koala3d.datasets.process.world import alignment
+from koala3d.datasets.process.world.alignment import Wishes
+from koala3d.datasets.process.world.similarity import Similarity, upwards
+from koala3d.datasets.scene import Scene
 
 
 def aligned(scene: Scene, folder: Path, *words: object) -> Scene:

@@ -10,8 +10,8 @@ import pytest
 
 pytest.importorskip("pycolmap")
 
-from datasets.cli import app
-from datasets.core.errors import UsageError
+from koala3d.datasets.cli import app
+from koala3d.datasets.core.errors import UsageError
 
 
 def run(*words: object) -> None:

@@ -9,20 +9,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.checks.check import check
-from datasets.core.errors import DatasetError, UsageError
-from datasets.formats import load_scene
-from datasets.imaging import images
-from datasets.process.pictures import features
-from datasets.process.poses import database, mapping
-from datasets.process.process import Processed, Request, process
-from datasets.process.work import Work
-from datasets.process.world import similarity
-from datasets.process.world.alignment import Wishes
-from datasets.process.world.scale import KnownLength
-from datasets.scene import Scene
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.checks.check import check
+from koala3d.datasets.core.errors import DatasetError, UsageError
+from koala3d.datasets.formats import load_scene
+from koala3d.datasets.imaging import images
+from koala3d.datasets.process.pictures import features
+from koala3d.datasets.process.poses import database, mapping
+from koala3d.datasets.process.process import Processed, Request, process
+from koala3d.datasets.process.work import Work
+from koala3d.datasets.process.world import similarity
+from koala3d.datasets.process.world.alignment import Wishes
+from koala3d.datasets.process.world.scale import KnownLength
+from koala3d.datasets.scene import Scene
 
 pytest.importorskip("pycolmap")
 
@@ -169,7 +169,7 @@ def test_an_interrupted_call_continues(six: Path, tmp_path: Path, monkeypatch: p
 
 def test_a_killed_process_leaves_what_the_next_one_needs(six: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     out, work = tmp_path / "scene", Work(tmp_path / "scene")
-    command = [sys.executable, "-m", "datasets.cli", "process", str(six), "--out", str(out)]
+    command = [sys.executable, "-m", "koala3d.datasets.cli", "process", str(six), "--out", str(out)]
     running = subprocess.Popen(command, stderr=subprocess.DEVNULL)
     while running.poll() is None and len(list(work.features.glob("0*.npz"))) < 2:
         time.sleep(0.02)

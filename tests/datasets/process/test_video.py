@@ -9,11 +9,11 @@ import pytest
 
 pytest.importorskip("pycolmap")
 
-from datasets import pose
-from datasets.formats import load_scene
-from datasets.process.process import Request, process
-from datasets.process.world import similarity
-from datasets.process.world.alignment import Wishes
+from koala3d.datasets import pose
+from koala3d.datasets.formats import load_scene
+from koala3d.datasets.process.process import Request, process
+from koala3d.datasets.process.world import similarity
+from koala3d.datasets.process.world.alignment import Wishes
 
 SLOWLY = 40
 

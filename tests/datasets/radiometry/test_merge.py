@@ -3,8 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from datasets.radiometry.merge import SATURATED, merge
-from datasets.radiometry.response import Response
+from koala3d.datasets.radiometry.merge import SATURATED, merge
+from koala3d.datasets.radiometry.response import Response
 
 TIMES = (8.0, 1.0, 0.125)
 

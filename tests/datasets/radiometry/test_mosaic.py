@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from datasets.radiometry.mosaic import FIRST, colour_indices, demosaiced, pattern_of, tiled
+from koala3d.datasets.radiometry.mosaic import FIRST, colour_indices, demosaiced, pattern_of, tiled
 
 
 @pytest.mark.parametrize("pattern", FIRST)

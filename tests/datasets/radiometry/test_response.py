@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.core.errors import DatasetError, UsageError
-from datasets.imaging.region import Region
-from datasets.radiometry.measure import Statistics, response
-from datasets.radiometry.mosaic import colour_indices, tiled
-from datasets.radiometry.response import Response
+from koala3d.datasets.core.errors import DatasetError, UsageError
+from koala3d.datasets.imaging.region import Region
+from koala3d.datasets.radiometry.measure import Statistics, response
+from koala3d.datasets.radiometry.mosaic import colour_indices, tiled
+from koala3d.datasets.radiometry.response import Response
 
 HEIGHT, WIDTH = 40, 56
 BLACK, SHOT, READ = 0.02, 1 / 20000, 0.001

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-from datasets.core.errors import UsageError
-from datasets.reports.drawing import blank, svg_of
-from datasets.reports.html import Number, ReportPage
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.reports.drawing import blank, svg_of
+from koala3d.datasets.reports.html import Number, ReportPage
 from tests.browser import Browse
 
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.core.errors import UsageError
-from datasets.formats import koala
-from datasets.reports import scene as report
-from datasets.scene import Scene
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.formats import koala
+from koala3d.datasets.reports import scene as report
+from koala3d.datasets.scene import Scene
 
 
 @pytest.fixture

@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from datasets.camera_model import Camera
-from datasets.core.errors import KoalaError
-from datasets.formats import koala, load_scene
-from datasets.imaging import images
-from datasets.page import open_page
-from datasets.scene import Scene, View
-from datasets.segmentation import strokes
-from datasets.segmentation.grow import Grower, Grown
-from datasets.segmentation.page.brush import MaskPage
-from datasets.segmentation.space import Ball
-from datasets.segmentation.strokes import Stroke
-from datasets.segmentation.write import STROKES, write
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core.errors import KoalaError
+from koala3d.datasets.formats import koala, load_scene
+from koala3d.datasets.imaging import images
+from koala3d.datasets.page import open_page
+from koala3d.datasets.scene import Scene, View
+from koala3d.datasets.segmentation import strokes
+from koala3d.datasets.segmentation.grow import Grower, Grown
+from koala3d.datasets.segmentation.page.brush import MaskPage
+from koala3d.datasets.segmentation.space import Ball
+from koala3d.datasets.segmentation.strokes import Stroke
+from koala3d.datasets.segmentation.write import STROKES, write
 
 CAMERA = Camera(96, 72, 100.0, 100.0, 48.0, 36.0)
 CENTRE = np.array([1.0, 2.0, 3.0])

@@ -11,13 +11,13 @@ import trimesh
 from numpy.typing import NDArray
 from typer.testing import CliRunner
 
-from datasets.camera_model import Camera
-from datasets.cli import app
-from datasets.core.errors import UsageError
-from datasets.formats import koala, load_scene
-from datasets.imaging import images
-from datasets.scene import Scene, View
-from datasets.segmentation.known_shape import silhouettes
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.cli import app
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.formats import koala, load_scene
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import Scene, View
+from koala3d.datasets.segmentation.known_shape import silhouettes
 
 CAMERA = Camera(96, 72, 100.0, 101.0, 47.0, 37.0, k1=-0.4, k2=0.05, p1=0.002)
 CENTRE = np.array([1.0, 2.0, 3.0])

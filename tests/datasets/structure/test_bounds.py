@@ -1,9 +1,9 @@
 import numpy as np
 
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.scene import View
-from datasets.structure import bounds
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.scene import View
+from koala3d.datasets.structure import bounds
 
 CAMERA = Camera(128, 96, 110, 110, 64, 48)
 

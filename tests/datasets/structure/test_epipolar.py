@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from datasets import pose
-from datasets.structure.epipolar import Pairs, corrected
+from koala3d.datasets import pose
+from koala3d.datasets.structure.epipolar import Pairs, corrected
 
 MATRICES = np.stack(
     [pose.look_at((4 * np.cos(a), 4 * np.sin(a), 1.5 * (k % 2)), (0, 0, 0)) for k, a in enumerate((0.0, 0.3, 0.6))]

@@ -5,9 +5,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from datasets.imaging import images
-from datasets.scene import Scene
-from datasets.structure.exposure import measured_gains
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import Scene
+from koala3d.datasets.structure.exposure import measured_gains
 
 
 def dimmed(scene: Scene, gains: dict[int, tuple[float, float, float]]) -> Scene:

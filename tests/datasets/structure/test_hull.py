@@ -4,11 +4,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.camera_model import Camera
-from datasets.imaging import images
-from datasets.scene import View
-from datasets.structure import bounds
-from datasets.structure.hull import UNEXPLAINED, _hull_within, _silhouette, visual_hull
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import View
+from koala3d.datasets.structure import bounds
+from koala3d.datasets.structure.hull import UNEXPLAINED, _hull_within, _silhouette, visual_hull
 
 AXES, CENTRE = np.array([0.9, 0.5, 0.3]), np.array([1.0, 2.0, 3.0])
 

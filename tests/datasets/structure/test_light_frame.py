@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.scene import View
-from datasets.structure.light_frame import FRAMES, light_frames, normals, turntable
-from datasets.structure.matching import Features, Matches
-from datasets.structure.triangulate import Cloud
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.scene import View
+from koala3d.datasets.structure.light_frame import FRAMES, light_frames, normals, turntable
+from koala3d.datasets.structure.matching import Features, Matches
+from koala3d.datasets.structure.triangulate import Cloud
 
 CAMERA = Camera(200, 200, 250.0, 250.0, 100.0, 100.0)
 TURN = pose.from_rotation_vector((0.4, -0.7, 0.2))

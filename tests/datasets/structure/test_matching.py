@@ -2,11 +2,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.scene import Scene
-from datasets.structure import matching
-from datasets.structure.matching import Features, match
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.scene import Scene
+from koala3d.datasets.structure import matching
+from koala3d.datasets.structure.matching import Features, match
 
 
 def features(descriptors: np.ndarray) -> Features:

@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.formats import koala, load_scene
-from datasets.imaging import images
-from datasets.scene import Scene
-from datasets.structure import bounds, matching, measure
-from datasets.structure.measure import measured
-from datasets.structure.triangulate import agreement, triangulate
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.formats import koala, load_scene
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import Scene
+from koala3d.datasets.structure import bounds, matching, measure
+from koala3d.datasets.structure.measure import measured
+from koala3d.datasets.structure.triangulate import agreement, triangulate
 
 
 def test_points_lie_on_the_walls_and_bounds_about_them(two_walls: Callable[..., Scene]) -> None:

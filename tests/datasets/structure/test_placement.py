@@ -4,10 +4,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from datasets import pose
-from datasets.scene import Scene
-from datasets.structure import matching
-from datasets.structure.placement import Reprojection, reprojection_of
+from koala3d.datasets import pose
+from koala3d.datasets.scene import Scene
+from koala3d.datasets.structure import matching
+from koala3d.datasets.structure.placement import Reprojection, reprojection_of
 
 
 def turned(scene: Scene, sigma: float) -> Scene:

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.camera_model import Camera
-from datasets.imaging import images
-from datasets.scene import View
-from datasets.structure import polarity
-from datasets.structure.bounds import visible_box
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import View
+from koala3d.datasets.structure import polarity
+from koala3d.datasets.structure.bounds import visible_box
 
 CENTRE = np.array([1.0, 2.0, 3.0])
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from datasets.structure.relative import robust_median, values_of_views
+from koala3d.datasets.structure.relative import robust_median, values_of_views
 
 PAIRS = [(i, j) for i in range(8) for j in range(i + 1, 8) if j - i < 4]
 

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from datasets.core.errors import UsageError
-from datasets.scene import Scene, Sightings, View
-from datasets.structure.reprojection import errors_px
-from datasets.structure.triangulate import meeting_point
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.scene import Scene, Sightings, View
+from koala3d.datasets.structure.reprojection import errors_px
+from koala3d.datasets.structure.triangulate import meeting_point
 
 
 @pytest.fixture

@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.scene import View
-from datasets.structure.matching import Features, Matches
-from datasets.structure.triangulate import agreement, endless_share, explained, triangulate
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.scene import View
+from koala3d.datasets.structure.matching import Features, Matches
+from koala3d.datasets.structure.triangulate import agreement, endless_share, explained, triangulate
 
 CAMERA = Camera(640, 480, 600.0, 600.0, 320.0, 240.0)
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from datasets.camera_model import Camera
-from datasets.structure.votes import FEWEST, Silhouette, distance_to, needed, not_hopeless, upheld
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.structure.votes import FEWEST, Silhouette, distance_to, needed, not_hopeless, upheld
 
 CAMERA = Camera(128, 128, 90, 90, 64, 64)
 DISTANCE, RADIUS = 4.0, 1.0

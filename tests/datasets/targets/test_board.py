@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from datasets.core.errors import UsageError
-from datasets.core.schema import validate
-from datasets.targets.board import Board
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.core.schema import validate
+from koala3d.datasets.targets.board import Board
 
 CHARUCO = Board.of("charuco", 9, 6, 0.03, 0.022)
 

@@ -2,8 +2,8 @@ import cv2
 import numpy as np
 import pytest
 
-from datasets.targets.board import Board
-from datasets.targets.pattern import Pattern
+from koala3d.datasets.targets.board import Board
+from koala3d.datasets.targets.pattern import Pattern
 
 BOARDS = [
     Board.of("charuco", 7, 5, 0.03, 0.0225),

@@ -5,10 +5,10 @@ from pathlib import Path
 import pytest
 import trimesh
 
-from reconstruct.asset import asset as assets
-from reconstruct.asset.asset import Asset
-from reconstruct.asset.light import Light
-from reconstruct.output.trained_model import TrainedModel
+from koala3d.reconstruct.asset import asset as assets
+from koala3d.reconstruct.asset.asset import Asset
+from koala3d.reconstruct.asset.light import Light
+from koala3d.reconstruct.output.trained_model import TrainedModel
 from tests.reconstruct.conftest import CENTRE, RADIUS
 
 SIZE = 128  # texels: about 0.8 mm on the ball
@@ -34,7 +34,7 @@ def asset(baked: tuple[Asset, Light]) -> Asset:
 @pytest.fixture
 def glb(asset: Asset, tmp_path: Path) -> Path:
     """As a file."""
-    from reconstruct.asset.writing import glb
+    from koala3d.reconstruct.asset.writing import glb
 
     glb.save(asset, tmp_path / "ball.glb")
     return tmp_path / "ball.glb"

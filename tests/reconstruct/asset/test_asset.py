@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from datasets.imaging import images
-from reconstruct.asset import asset as assets
-from reconstruct.asset.materials import metallic_roughness
-from reconstruct.asset.writing import glb, obj, usd
-from reconstruct.output.trained_model import TrainedModel
+from koala3d.datasets.imaging import images
+from koala3d.reconstruct.asset import asset as assets
+from koala3d.reconstruct.asset.materials import metallic_roughness
+from koala3d.reconstruct.asset.writing import glb, obj, usd
+from koala3d.reconstruct.output.trained_model import TrainedModel
 
 CENTRE, RADIUS = np.array([0.4, 0.0, 0.15]), 0.08
 MODULES = Path(__file__).parents[3] / "build" / "tools" / "node_modules"

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from datasets.imaging import images
-from datasets.scene import Scene
-from reconstruct.asset.asset import Asset
-from reconstruct.asset.materials import LUMINANCE
-from reconstruct.asset.texels import Texels, texels_of
-from reconstruct.output.trained_model import TrainedModel
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import Scene
+from koala3d.reconstruct.asset.asset import Asset
+from koala3d.reconstruct.asset.materials import LUMINANCE
+from koala3d.reconstruct.asset.texels import Texels, texels_of
+from koala3d.reconstruct.output.trained_model import TrainedModel
 from tests.reconstruct.conftest import CENTRE, RADIUS
 
 SIZE = 128

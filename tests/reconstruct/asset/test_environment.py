@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 import trimesh
 
-from datasets.core.errors import UsageError
-from datasets.imaging import images
-from reconstruct.asset import asset as assets
-from reconstruct.asset import sphere
-from reconstruct.asset.asset import Asset
-from reconstruct.asset.light import Light
-from reconstruct.asset.writing import environment
-from reconstruct.output.trained_model import TrainedModel
-from reconstruct.scene.light import LightFrame
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.imaging import images
+from koala3d.reconstruct.asset import asset as assets
+from koala3d.reconstruct.asset import sphere
+from koala3d.reconstruct.asset.asset import Asset
+from koala3d.reconstruct.asset.light import Light
+from koala3d.reconstruct.asset.writing import environment
+from koala3d.reconstruct.output.trained_model import TrainedModel
+from koala3d.reconstruct.scene.light import LightFrame
 
 LAMP = np.array([0.6, -0.64, 0.48])
 """Unit direction in the world."""

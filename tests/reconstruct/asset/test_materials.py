@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from reconstruct.asset.materials import metallic_roughness
+from koala3d.reconstruct.asset.materials import metallic_roughness
 
 
 @pytest.mark.parametrize(

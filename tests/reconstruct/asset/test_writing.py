@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from datasets.core.errors import UsageError
-from datasets.imaging import images
-from reconstruct.asset.asset import Asset
-from reconstruct.asset.writing import obj, saving, usd
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.imaging import images
+from koala3d.reconstruct.asset.asset import Asset
+from koala3d.reconstruct.asset.writing import obj, saving, usd
 from tests.foreign import stages
 
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from datasets.core.errors import UsageError
-from reconstruct.bench.records import Records
-from reconstruct.bench.runner import RECORDS
-from reconstruct.cli import app
+from koala3d.datasets.core.errors import UsageError
+from koala3d.reconstruct.bench.records import Records
+from koala3d.reconstruct.bench.runner import RECORDS
+from koala3d.reconstruct.cli import app
 
 
 def invoke(*words: str | Path):

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from reconstruct.bench import compare
-from reconstruct.bench.compare import EVERYWHERE, paired, welch
+from koala3d.reconstruct.bench import compare
+from koala3d.reconstruct.bench.compare import EVERYWHERE, paired, welch
 
 
 def test_welch_is_scipys() -> None:

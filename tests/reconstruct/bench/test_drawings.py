@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from xml.etree import ElementTree
 
-from reconstruct.bench import drawings
+from koala3d.reconstruct.bench import drawings
 
 
 def test_spread_is_mean_and_extremes_of_each_budget(make_row: Callable) -> None:

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.formats import load_scene
-from reconstruct.bench.first_surfaces import SHARES, Seen, _off_by, table, watch
-from reconstruct.bench.scenes import make
-from reconstruct.bench.scenes.shiny import RADIUS_M, SCENES
-from reconstruct.models import load_config
-from reconstruct.scene.rays import Normalisation
+from koala3d.datasets.formats import load_scene
+from koala3d.reconstruct.bench.first_surfaces import SHARES, Seen, _off_by, table, watch
+from koala3d.reconstruct.bench.scenes import make
+from koala3d.reconstruct.bench.scenes.shiny import RADIUS_M, SCENES
+from koala3d.reconstruct.models import load_config
+from koala3d.reconstruct.scene.rays import Normalisation
 
 
 def test_distance_from_the_truth_is_in_pixels_there() -> None:

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from datasets.core.errors import DatasetError, UsageError
-from reconstruct.bench import peers
+from koala3d.datasets.core.errors import DatasetError, UsageError
+from koala3d.reconstruct.bench import peers
 
 
 def test_lines_are_read(tmp_path: Path) -> None:

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from datasets.core.errors import DatasetError
-from reconstruct.bench.records import COLUMNS, Records, latest
-from reconstruct.bench.suite import Trial
+from koala3d.datasets.core.errors import DatasetError
+from koala3d.reconstruct.bench.records import COLUMNS, Records, latest
+from koala3d.reconstruct.bench.suite import Trial
 
 TRIAL = Trial("quality", "chrome_ball", 1.0, 0, "surfnerf", "fast", 15.0, 0)
 

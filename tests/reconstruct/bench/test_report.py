@@ -3,10 +3,10 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from datasets.core import files
-from reconstruct.bench import report
-from reconstruct.bench.records import Records
-from reconstruct.bench.runner import PROFILES, PROFILES_FORMAT, PROFILES_VERSION, RECORDS
+from koala3d.datasets.core import files
+from koala3d.reconstruct.bench import report
+from koala3d.reconstruct.bench.records import Records
+from koala3d.reconstruct.bench.runner import PROFILES, PROFILES_FORMAT, PROFILES_VERSION, RECORDS
 
 
 def test_everything_is_on_the_page(tmp_path: Path, make_row: Callable) -> None:

@@ -6,13 +6,13 @@ from typing import Any
 
 import pytest
 
-from datasets.core.errors import KoalaError
-from datasets.formats import load_scene
-from reconstruct.bench import runner
-from reconstruct.bench.records import Records
-from reconstruct.bench.scenes import make
-from reconstruct.bench.suite import COST, PROFILE, QUALITY, Trial
-from reconstruct.bench.trial import chosen_views
+from koala3d.datasets.core.errors import KoalaError
+from koala3d.datasets.formats import load_scene
+from koala3d.reconstruct.bench import runner
+from koala3d.reconstruct.bench.records import Records
+from koala3d.reconstruct.bench.scenes import make
+from koala3d.reconstruct.bench.suite import COST, PROFILE, QUALITY, Trial
+from koala3d.reconstruct.bench.trial import chosen_views
 
 TRIAL = Trial(QUALITY, "lego400", 1.0, 0, "surfnerf", "fast", 1.0, 0)
 

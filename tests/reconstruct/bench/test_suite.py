@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from datasets.core.errors import UsageError
-from reconstruct.bench.suite import COST, PROFILE, QUALITY, SUITES, Choice, folders, plan
-from reconstruct.models import load_config
+from koala3d.datasets.core.errors import UsageError
+from koala3d.reconstruct.bench.suite import COST, PROFILE, QUALITY, SUITES, Choice, folders, plan
+from koala3d.reconstruct.models import load_config
 
 
 def test_the_quick_suite_leaves_time_for_all_else() -> None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from reconstruct.bench.targets import SHINY, outcomes
+from koala3d.reconstruct.bench.targets import SHINY, outcomes
 
 
 def test_mean_over_scenes_and_seeds(make_row: Callable) -> None:

@@ -1,8 +1,8 @@
 import json
 from pathlib import Path
 
-from reconstruct.diagnosis.diagnose import Diagnosis, diagnose, small_camera, write
-from reconstruct.output.trained_model import TrainedModel
+from koala3d.reconstruct.diagnosis.diagnose import Diagnosis, diagnose, small_camera, write
+from koala3d.reconstruct.output.trained_model import TrainedModel
 
 
 def test_every_view_is_rendered_and_shown(ball: TrainedModel, tmp_path: Path) -> None:
@@ -16,7 +16,7 @@ def test_every_view_is_rendered_and_shown(ball: TrainedModel, tmp_path: Path) ->
 
 
 def test_a_diagnosis_can_be_written_as_json(ball: TrainedModel) -> None:
-    from datasets.core.files import _plain
+    from koala3d.datasets.core.files import _plain
 
     content = json.loads(json.dumps(Diagnosis(**vars(diagnose(ball, pictures=False))).to_json(), default=_plain))
     assert len(content["views"]) == len(ball.scene.views) and {"name", "psnr", "gains", "shift_px"} <= content["views"][0].keys()

@@ -2,9 +2,9 @@ import cv2
 import numpy as np
 import pytest
 
-from datasets.imaging import images
-from reconstruct.diagnosis import causes
-from reconstruct.diagnosis.residuals import Residual, relit, residual
+from koala3d.datasets.imaging import images
+from koala3d.reconstruct.diagnosis import causes
+from koala3d.reconstruct.diagnosis.residuals import Residual, relit, residual
 
 
 def scenery(seed: int = 0) -> np.ndarray:

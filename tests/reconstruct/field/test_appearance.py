@@ -3,10 +3,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.config import FieldConfig
-from reconstruct.field.appearance import Material, Matte, Reflection, Shading, ViewColour, create_appearance
-from reconstruct.field.encodings.directional import ide_channels
-from reconstruct.numerics.safe import linear_from_srgb
+from koala3d.reconstruct.config import FieldConfig
+from koala3d.reconstruct.field.appearance import Material, Matte, Reflection, Shading, ViewColour, create_appearance
+from koala3d.reconstruct.field.encodings.directional import ide_channels
+from koala3d.reconstruct.numerics.safe import linear_from_srgb
 from tests import drawn
 
 KINDS = ("reflection", "view", "view_diffuse", "diffuse")
@@ -103,7 +103,7 @@ def test_reflection_follows_the_law_of_reflection() -> None:
         found = []
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(
-                "reconstruct.field.appearance.integrated_directional_encoding",
+                "koala3d.reconstruct.field.appearance.integrated_directional_encoding",
                 lambda d, r, n: found.append(d) or jnp.zeros((ide_channels(n), 1)),
             )
             appearance.shade(appearance.material(raw, viewdirs), viewdirs, normals=normals)

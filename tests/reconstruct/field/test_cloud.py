@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.field.cloud import (
+from koala3d.reconstruct.field.cloud import (
     GAUSSIAN_SCALE,
     Cloud,
     _perpendicular,
@@ -12,10 +12,10 @@ from reconstruct.field.cloud import (
     hexagons_in_frustums,
     points_on_rays,
 )
-from reconstruct.field.encodings.lattice import PermutohedralLattice
-from reconstruct.scene.contraction import contract, contraction_scale
-from reconstruct.scene.rays import Rays
-from reconstruct.scene.space import BALL, BOX
+from koala3d.reconstruct.field.encodings.lattice import PermutohedralLattice
+from koala3d.reconstruct.scene.contraction import contract, contraction_scale
+from koala3d.reconstruct.scene.rays import Rays
+from koala3d.reconstruct.scene.space import BALL, BOX
 from tests import drawn
 
 HEXAGONS = jax.jit(hexagons_in_frustums, static_argnums=3)

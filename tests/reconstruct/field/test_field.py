@@ -4,10 +4,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.config import EncodingConfig, FieldConfig
-from reconstruct.field.cloud import Cloud
-from reconstruct.field.field import Field
-from reconstruct.scene.space import BALL, BOX
+from koala3d.reconstruct.config import EncodingConfig, FieldConfig
+from koala3d.reconstruct.field.cloud import Cloud
+from koala3d.reconstruct.field.field import Field
+from koala3d.reconstruct.scene.space import BALL, BOX
 from tests import drawn
 
 ENCODING = EncodingConfig(levels=3, features=2, log2_size=10, coarsest=2, finest=8)

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from datasets import pose
-from reconstruct.field.lit import Lit
-from reconstruct.scene.light import STILL, Frame, LightFrame
-from reconstruct.scene.rays import Rays
+from koala3d.datasets import pose
+from koala3d.reconstruct.field.lit import Lit
+from koala3d.reconstruct.scene.light import STILL, Frame, LightFrame
+from koala3d.reconstruct.scene.rays import Rays
 from tests import drawn
 
 RNG = np.random.default_rng(0)

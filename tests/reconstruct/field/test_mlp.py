@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.field.mlp import Mlp, computed_in, rounded_product
+from koala3d.reconstruct.field.mlp import Mlp, computed_in, rounded_product
 from tests import drawn
 
 CALL = jax.jit(lambda network, inputs: network(inputs))

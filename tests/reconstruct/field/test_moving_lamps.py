@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from datasets import pose
-from reconstruct.config import FieldConfig
-from reconstruct.field.appearance import Material, Reflection, Start, create_appearance
-from reconstruct.field.lit import Lit
-from reconstruct.field.moving_lamps import MovingLamps
-from reconstruct.scene.light import Frame, LightFrame
-from reconstruct.scene.rays import Rays
+from koala3d.datasets import pose
+from koala3d.reconstruct.config import FieldConfig
+from koala3d.reconstruct.field.appearance import Material, Reflection, Start, create_appearance
+from koala3d.reconstruct.field.lit import Lit
+from koala3d.reconstruct.field.moving_lamps import MovingLamps
+from koala3d.reconstruct.scene.light import Frame, LightFrame
+from koala3d.reconstruct.scene.rays import Rays
 from tests import drawn
 
 FIELD = FieldConfig(bottleneck=2, view_width=16, ide_degree=3)

@@ -5,11 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.config import FieldConfig, LightConfig
-from reconstruct.field.appearance import Reflection, Start, create_appearance
-from reconstruct.field.near import Near
-from reconstruct.field.parallax import INSIDE, START, Parallax, ends_on_sphere
-from reconstruct.scene.light import LightFrame
+from koala3d.reconstruct.config import FieldConfig, LightConfig
+from koala3d.reconstruct.field.appearance import Reflection, Start, create_appearance
+from koala3d.reconstruct.field.near import Near
+from koala3d.reconstruct.field.parallax import INSIDE, START, Parallax, ends_on_sphere
+from koala3d.reconstruct.scene.light import LightFrame
 from tests import drawn
 
 FIELD = FieldConfig(bottleneck=2, view_width=16, ide_degree=3)

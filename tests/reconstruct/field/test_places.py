@@ -6,14 +6,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.config import Config
-from reconstruct.field.cloud import Cloud
-from reconstruct.field.field import Field
-from reconstruct.models import load_config, merged, names
-from reconstruct.rendering.model import Model
-from reconstruct.scene.facts import SceneFacts
-from reconstruct.scene.rays import Normalisation
-from reconstruct.scene.space import BOX
+from koala3d.reconstruct.config import Config
+from koala3d.reconstruct.field.cloud import Cloud
+from koala3d.reconstruct.field.field import Field
+from koala3d.reconstruct.models import load_config, merged, names
+from koala3d.reconstruct.rendering.model import Model
+from koala3d.reconstruct.scene.facts import SceneFacts
+from koala3d.reconstruct.scene.rays import Normalisation
+from koala3d.reconstruct.scene.space import BOX
 from tests import drawn
 
 SMALL = {

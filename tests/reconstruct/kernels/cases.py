@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from reconstruct.kernels import native, network
-from reconstruct.kernels.loops import descent, frame, lattice, layers, look, march, pack, rays, squares
+from koala3d.reconstruct.kernels import native, network
+from koala3d.reconstruct.kernels.loops import descent, frame, lattice, layers, look, march, pack, rays, squares
 
 GUARD = 4096
 """Bytes around each result that nobody may write."""

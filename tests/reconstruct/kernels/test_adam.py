@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from reconstruct.kernels import adam
-from reconstruct.training.optimiser import ADAM, DECAYS, SMALLEST
+from koala3d.reconstruct.kernels import adam
+from koala3d.reconstruct.training.optimiser import ADAM, DECAYS, SMALLEST
 from tests import drawn
 
 pytestmark = pytest.mark.usefixtures("kernels_run")

@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from reconstruct.kernels import compositing
-from reconstruct.numerics.compiling import jit
-from reconstruct.numerics.volume import volume_weights
-from reconstruct.rendering.compositing import composited
-from reconstruct.sampling.samples import RaySamples
+from koala3d.reconstruct.kernels import compositing
+from koala3d.reconstruct.numerics.compiling import jit
+from koala3d.reconstruct.numerics.volume import volume_weights
+from koala3d.reconstruct.rendering.compositing import composited
+from koala3d.reconstruct.sampling.samples import RaySamples
 from tests import drawn
 
 pytestmark = pytest.mark.usefixtures("kernels_run")

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.field.encodings.grid import HashedGrid
-from reconstruct.field.encodings.lattice import PermutohedralLattice
-from reconstruct.numerics.compiling import jit
+from koala3d.reconstruct.field.encodings.grid import HashedGrid
+from koala3d.reconstruct.field.encodings.lattice import PermutohedralLattice
+from koala3d.reconstruct.numerics.compiling import jit
 from tests import drawn
 
 pytestmark = pytest.mark.usefixtures("kernels_run")

@@ -12,17 +12,17 @@ import jax
 import numpy as np
 import pytest
 
-from reconstruct.field.encodings.grid import HashedGrid
-from reconstruct.field.encodings.lattice import PermutohedralLattice
-from reconstruct.kernels import native
+from koala3d.reconstruct.field.encodings.grid import HashedGrid
+from koala3d.reconstruct.field.encodings.lattice import PermutohedralLattice
+from koala3d.reconstruct.kernels import native
 from tests import drawn
 
 pytestmark = pytest.mark.usefixtures("kernels_run")
 
 PROGRAM = """
 import hashlib, jax, numpy as np
-from reconstruct.kernels import native
-from reconstruct.field.encodings.lattice import PermutohedralLattice
+from koala3d.reconstruct.kernels import native
+from koala3d.reconstruct.field.encodings.lattice import PermutohedralLattice
 print(native.why_not())
 rng = np.random.default_rng(0)
 table, points = (np.float32(rng.uniform(size=size)) for size in ((2, 8 * 4096), (3, 8192)))
@@ -87,7 +87,7 @@ def test_without_a_compiler_jax_does_it(error: Exception, forgotten: None, monke
 
 
 def test_structures_of_other_sizes_are_refused(forgotten: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    from reconstruct.kernels.loops import frame
+    from koala3d.reconstruct.kernels.loops import frame
 
     monkeypatch.setitem(frame.BUFFER, "size", 56)
     reason = native.why_not()

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from reconstruct.field.mlp import Mlp
-from reconstruct.kernels import network
-from reconstruct.numerics.compiling import jit
+from koala3d.reconstruct.field.mlp import Mlp
+from koala3d.reconstruct.kernels import network
+from koala3d.reconstruct.numerics.compiling import jit
 from tests import drawn
 
 pytestmark = pytest.mark.usefixtures("kernels_run")

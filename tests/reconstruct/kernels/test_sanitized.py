@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from reconstruct.kernels import native
+from koala3d.reconstruct.kernels import native
 
 PROGRAM = Path(__file__).with_name("cases.py")
 PASSED = Path(__file__).with_name("sanitized.txt")
@@ -25,9 +25,9 @@ BROKEN = """
 import sys
 sys.path.insert(0, {folder!r})
 import cases
-from reconstruct.kernels import native
-from reconstruct.kernels.loops import compiler, frame
-from reconstruct.kernels.loops.compiler import compiled
+from koala3d.reconstruct.kernels import native
+from koala3d.reconstruct.kernels.loops import compiler, frame
+from koala3d.reconstruct.kernels.loops.compiler import compiled
 import numpy as np
 
 @compiled

@@ -6,8 +6,8 @@ from pathlib import Path
 import jax
 import pytest
 
-from datasets.scene import Scene
-from reconstruct.kernels import native
+from koala3d.datasets.scene import Scene
+from koala3d.reconstruct.kernels import native
 from tests.small import Trainable
 
 ROUNDS, STEPS = 12, 6

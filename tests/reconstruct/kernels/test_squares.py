@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 
-from reconstruct.kernels.squares import CHUNK, sum_of_squares
+from koala3d.reconstruct.kernels.squares import CHUNK, sum_of_squares
 from tests import drawn
 
 pytestmark = pytest.mark.usefixtures("kernels_run")

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.numerics import compiling
+from koala3d.reconstruct.numerics import compiling
 
 
 @pytest.mark.parametrize("count", [100, 16384, 24000])

@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.numerics.safe import MAX_EXPONENT, normalise, safe_exp, safe_norm, srgb_from_linear
+from koala3d.reconstruct.numerics.safe import MAX_EXPONENT, normalise, safe_exp, safe_norm, srgb_from_linear
 
 SIZES = [0.0, 1e-45, 1e-38, 1e-30, 1e-20, 1e-12, 1e-6, 1.0, 1e6, 1e18, 1e30]
 

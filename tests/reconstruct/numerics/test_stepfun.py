@@ -6,7 +6,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import kstest
 
-from reconstruct.numerics.stepfun import inverse_power_ladder, power_ladder, resample_blurred, sample_intervals, sum_of_boxes_cdf
+from koala3d.reconstruct.numerics.stepfun import (
+    inverse_power_ladder,
+    power_ladder,
+    resample_blurred,
+    sample_intervals,
+    sum_of_boxes_cdf,
+)
 
 SAMPLE = jax.jit(sample_intervals, static_argnums=3)
 RESAMPLE = jax.jit(resample_blurred, static_argnums=3)

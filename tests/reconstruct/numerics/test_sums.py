@@ -2,7 +2,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.numerics.volume import sum_before
+from koala3d.reconstruct.numerics.volume import sum_before
 
 
 @pytest.mark.parametrize("block", [None, 32, 96])

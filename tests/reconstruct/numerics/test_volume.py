@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.numerics.volume import volume_weights
+from koala3d.reconstruct.numerics.volume import volume_weights
 
 
 def reference(density: np.ndarray, lengths: np.ndarray) -> np.ndarray:

@@ -4,12 +4,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from datasets.imaging import images
-from datasets.scene import View
-from reconstruct.output import evaluate
-from reconstruct.output.align import PIXELS, Aligner
-from reconstruct.output.trained_model import TrainedModel
-from reconstruct.scene import poses
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import View
+from koala3d.reconstruct.output import evaluate
+from koala3d.reconstruct.output.align import PIXELS, Aligner
+from koala3d.reconstruct.output.trained_model import TrainedModel
+from koala3d.reconstruct.scene import poses
 
 
 @pytest.fixture

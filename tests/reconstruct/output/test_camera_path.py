@@ -3,9 +3,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.core.errors import UsageError
-from datasets.scene import Scene
-from reconstruct.output import camera_path
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.scene import Scene
+from koala3d.reconstruct.output import camera_path
 
 CENTRE = np.array([0.4, 0.0, 0.15])
 

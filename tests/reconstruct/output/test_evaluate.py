@@ -7,16 +7,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from datasets.core.errors import UsageError
-from datasets.imaging import images
-from datasets.scene import View
-from reconstruct.field.appearance import Material, Shading
-from reconstruct.field.cloud import Cloud
-from reconstruct.field.field import Field
-from reconstruct.field.lit import Lit
-from reconstruct.field.near import Near
-from reconstruct.output import evaluate
-from reconstruct.output.trained_model import TrainedModel
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import View
+from koala3d.reconstruct.field.appearance import Material, Shading
+from koala3d.reconstruct.field.cloud import Cloud
+from koala3d.reconstruct.field.field import Field
+from koala3d.reconstruct.field.lit import Lit
+from koala3d.reconstruct.field.near import Near
+from koala3d.reconstruct.output import evaluate
+from koala3d.reconstruct.output.trained_model import TrainedModel
 
 STEP_MM = 2 * 0.1 / 192 * np.sqrt(3) * 1e3
 """A ray is cut into 192 steps through a box of 0.2 m; along its diagonal a step is this long."""

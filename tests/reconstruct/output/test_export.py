@@ -3,10 +3,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.core.errors import UsageError
-from datasets.imaging import images
-from reconstruct.output import export
-from reconstruct.output.trained_model import TrainedModel
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.imaging import images
+from koala3d.reconstruct.output import export
+from koala3d.reconstruct.output.trained_model import TrainedModel
 
 
 def test_every_channel_of_every_view_is_written(ball: TrainedModel, tmp_path: Path) -> None:

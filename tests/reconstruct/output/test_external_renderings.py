@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.core.errors import DatasetError, UsageError
-from datasets.imaging import images
-from reconstruct.output import evaluate, export, external_renderings
-from reconstruct.output.trained_model import TrainedModel
+from koala3d.datasets.core.errors import DatasetError, UsageError
+from koala3d.datasets.imaging import images
+from koala3d.reconstruct.output import evaluate, export, external_renderings
+from koala3d.reconstruct.output.trained_model import TrainedModel
 from tests.foreign import photographs
 
 

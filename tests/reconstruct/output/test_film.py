@@ -3,9 +3,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.core.errors import UsageError
-from reconstruct.output import camera_path, film
-from reconstruct.output.trained_model import TrainedModel
+from koala3d.datasets.core.errors import UsageError
+from koala3d.reconstruct.output import camera_path, film
+from koala3d.reconstruct.output.trained_model import TrainedModel
 
 av = pytest.importorskip("av", reason="the package 'av' is absent: no films can be read back")
 

@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 from scipy.signal import correlate
 
-from datasets.core.errors import DatasetError, KoalaError, UsageError
-from reconstruct.output import evaluate
-from reconstruct.output.lpips import LAYERS, SMALLEST, WEIGHTS, Lpips
-from reconstruct.output.trained_model import TrainedModel
-from reconstruct.studies import results_table
-from reconstruct.studies.results import rows_of_runs
+from koala3d.datasets.core.errors import DatasetError, KoalaError, UsageError
+from koala3d.reconstruct.output import evaluate
+from koala3d.reconstruct.output.lpips import LAYERS, SMALLEST, WEIGHTS, Lpips
+from koala3d.reconstruct.output.trained_model import TrainedModel
+from koala3d.reconstruct.studies import results_table
+from koala3d.reconstruct.studies.results import rows_of_runs
 
 PUBLISHED = {(47, 40): 0.3724093, (31, 33): 0.3338005}
 """What lpips 0.1.4 on torch 2.15 gave in float32 for the weights and pictures of this file, by the pictures' height and width."""

@@ -1,7 +1,7 @@
 import pytest
 
-from reconstruct.output import metric_names, metrics
-from reconstruct.output.mesh import surface_distance
+from koala3d.reconstruct.output import metric_names, metrics
+from koala3d.reconstruct.output.mesh import surface_distance
 
 
 def test_every_metric_has_unique_names_and_a_definition() -> None:

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from reconstruct.output import metrics
+from koala3d.reconstruct.output import metrics
 
 
 def constant(value: float, channels: int = 3) -> np.ndarray:

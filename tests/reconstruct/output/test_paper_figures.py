@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from reconstruct.output import paper_figures
-from reconstruct.output.trained_model import TrainedModel
+from koala3d.reconstruct.output import paper_figures
+from koala3d.reconstruct.output.trained_model import TrainedModel
 
 RADIUS, DIFFUSE, SPECULAR = 0.08, [0.1, 0.2, 0.3], [0.2, 0.1, 0.05]
 """Of the ball in `conftest`: [m], and linear light."""

@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.calibration import Calibration, UncertainPose
-from datasets.camera_model import Camera
-from datasets.core import files
-from datasets.core.errors import UsageError
-from datasets.imaging import images
-from reconstruct.output import evaluate, report
-from reconstruct.output.trained_model import TrainedModel
-from reconstruct.training.skipping import record
+from koala3d.datasets.calibration import Calibration, UncertainPose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.imaging import images
+from koala3d.reconstruct.output import evaluate, report
+from koala3d.reconstruct.output.trained_model import TrainedModel
+from koala3d.reconstruct.training.skipping import record
 
 
 def test_the_page_stands_alone_and_shows_figures_and_pictures(ball: TrainedModel, tmp_path: Path) -> None:

@@ -5,12 +5,12 @@ import jax
 import numpy as np
 import pytest
 
-from datasets.core.errors import UsageError
-from reconstruct.errors import ReconstructError
-from reconstruct.models import load_config
-from reconstruct.output.trained_model import TrainedModel
-from reconstruct.rendering.model import Model
-from reconstruct.run import CHECKPOINTS, Run
+from koala3d.datasets.core.errors import UsageError
+from koala3d.reconstruct.errors import ReconstructError
+from koala3d.reconstruct.models import load_config
+from koala3d.reconstruct.output.trained_model import TrainedModel
+from koala3d.reconstruct.rendering.model import Model
+from koala3d.reconstruct.run import CHECKPOINTS, Run
 
 
 def test_a_run_opens_although_its_masks_are_not_read_again(make_run: Callable[..., Run]) -> None:

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.scene import View
-from reconstruct.page.compose import (
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.scene import View
+from koala3d.reconstruct.page.compose import (
     BEHIND_ALL,
     CHANNELS,
     Viewpoint,

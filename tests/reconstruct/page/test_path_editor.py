@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.page import open_page
-from reconstruct.output.camera_path import from_file
-from reconstruct.page import path_editor
-from reconstruct.page.path_editor import PathEditor
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.page import open_page
+from koala3d.reconstruct.output.camera_path import from_file
+from koala3d.reconstruct.page import path_editor
+from koala3d.reconstruct.page.path_editor import PathEditor
 
 CAMERA = Camera(48, 40, 70.0, 70.0, 24.0, 20.0)
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from reconstruct.page.render_loop import LEVELS, RenderLoop, viewpoint_of
+from koala3d.reconstruct.page.render_loop import LEVELS, RenderLoop, viewpoint_of
 
 
 class MadeUp:

@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 import trimesh
 
-from datasets.imaging import images
-from datasets.page import open_page
-from reconstruct import checkpoint
-from reconstruct.output.trained_model import TrainedModel
-from reconstruct.page.compose import CHANNELS, Viewpoint
-from reconstruct.page.run_page import NOTHING, RunPage, rounded_up
-from reconstruct.page.status import QUIET_S, is_training
-from reconstruct.run import CHECKPOINTS, LOG, Run
+from koala3d.datasets.imaging import images
+from koala3d.datasets.page import open_page
+from koala3d.reconstruct import checkpoint
+from koala3d.reconstruct.output.trained_model import TrainedModel
+from koala3d.reconstruct.page.compose import CHANNELS, Viewpoint
+from koala3d.reconstruct.page.run_page import NOTHING, RunPage, rounded_up
+from koala3d.reconstruct.page.status import QUIET_S, is_training
+from koala3d.reconstruct.run import CHECKPOINTS, LOG, Run
 from tests.browser import Browse
 
 pytestmark = pytest.mark.timeout(600)
@@ -107,7 +107,7 @@ def test_there_is_nothing_to_see_before_the_first_checkpoint(make_run: Callable[
 
 
 def test_a_newer_checkpoint_takes_the_place_of_the_one_before(make_run: Callable[..., Any]) -> None:
-    from reconstruct.training.step import Step
+    from koala3d.reconstruct.training.step import Step
 
     run = make_run()
     with open_page("run", 0) as page:
@@ -203,7 +203,7 @@ def test_a_picture_that_is_being_sent_does_not_outlive_its_channel(shown: Any, m
 
 
 def test_every_channel_can_be_chosen(shown: Any, ball: TrainedModel) -> None:
-    from reconstruct.page.compose import picture_of
+    from koala3d.reconstruct.page.compose import picture_of
 
     _, view = shown
     values = view.render(viewpoint_at(ball), 2048, normals=True)

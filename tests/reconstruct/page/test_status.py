@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from reconstruct.page.status import curves, skips_text, status_text
-from reconstruct.training.skipping import record
+from koala3d.reconstruct.page.status import curves, skips_text, status_text
+from koala3d.reconstruct.training.skipping import record
 
 
 def test_the_log_is_told_in_words_and_curves(make_run: Callable[..., Any]) -> None:

@@ -9,22 +9,22 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from datasets.core.errors import UsageError
-from datasets.imaging.images import linear_from_srgb
-from reconstruct.config import Config
-from reconstruct.field.appearance import Material
-from reconstruct.field.cloud import Cloud
-from reconstruct.field.field import Field
-from reconstruct.field.near import Near
-from reconstruct.models import load_config
-from reconstruct.rendering.casting import ROUGH, Casting
-from reconstruct.rendering.model import Model, Rendered, render
-from reconstruct.rendering.pictures import Renderer
-from reconstruct.sampling.occupancy import Occupancy, cell_centres
-from reconstruct.sampling.samples import cloud_of
-from reconstruct.scene.facts import SceneFacts
-from reconstruct.scene.frustum import Frustum
-from reconstruct.scene.rays import Normalisation, Rays
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.imaging.images import linear_from_srgb
+from koala3d.reconstruct.config import Config
+from koala3d.reconstruct.field.appearance import Material
+from koala3d.reconstruct.field.cloud import Cloud
+from koala3d.reconstruct.field.field import Field
+from koala3d.reconstruct.field.near import Near
+from koala3d.reconstruct.models import load_config
+from koala3d.reconstruct.rendering.casting import ROUGH, Casting
+from koala3d.reconstruct.rendering.model import Model, Rendered, render
+from koala3d.reconstruct.rendering.pictures import Renderer
+from koala3d.reconstruct.sampling.occupancy import Occupancy, cell_centres
+from koala3d.reconstruct.sampling.samples import cloud_of
+from koala3d.reconstruct.scene.facts import SceneFacts
+from koala3d.reconstruct.scene.frustum import Frustum
+from koala3d.reconstruct.scene.rays import Normalisation, Rays
 from tests import drawn
 
 WALL, COUNT, SHARPNESS = 0.5, 40, 0.004

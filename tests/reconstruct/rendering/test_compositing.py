@@ -2,9 +2,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reconstruct.numerics.volume import volume_weights
-from reconstruct.rendering.compositing import composite, sample_weights
-from reconstruct.sampling.samples import RaySamples
+from koala3d.reconstruct.numerics.volume import volume_weights
+from koala3d.reconstruct.rendering.compositing import composite, sample_weights
+from koala3d.reconstruct.sampling.samples import RaySamples
 from tests import drawn
 
 

@@ -3,9 +3,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from datasets.imaging.images import linear_from_srgb, srgb_from_linear
-from reconstruct.rendering.exposure import across_halves, exposed, left_half
-from reconstruct.rendering.model import Rendered
+from koala3d.datasets.imaging.images import linear_from_srgb, srgb_from_linear
+from koala3d.reconstruct.rendering.exposure import across_halves, exposed, left_half
+from koala3d.reconstruct.rendering.model import Rendered
 from tests import drawn
 
 GAIN = np.log([1.8, 1.3, 0.7])

@@ -9,15 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.field.field import Field
-from reconstruct.numerics.compiling import jit
-from reconstruct.rendering.compositing import composite, sample_weights, values_of
-from reconstruct.rendering.front_to_back import Queue, composited
-from reconstruct.sampling.sampler import Sampled
-from reconstruct.sampling.samples import Footprint, RaySamples, cloud_of
-from reconstruct.scene.frustum import Frustum
-from reconstruct.scene.rays import Rays
-from reconstruct.scene.space import BALL, BOX, Space
+from koala3d.reconstruct.field.field import Field
+from koala3d.reconstruct.numerics.compiling import jit
+from koala3d.reconstruct.rendering.compositing import composite, sample_weights, values_of
+from koala3d.reconstruct.rendering.front_to_back import Queue, composited
+from koala3d.reconstruct.sampling.sampler import Sampled
+from koala3d.reconstruct.sampling.samples import Footprint, RaySamples, cloud_of
+from koala3d.reconstruct.scene.frustum import Frustum
+from koala3d.reconstruct.scene.rays import Rays
+from koala3d.reconstruct.scene.space import BALL, BOX, Space
 from tests import drawn
 from tests.small import small
 

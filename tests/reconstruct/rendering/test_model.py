@@ -4,12 +4,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.config import Config
-from reconstruct.models import load_config, merged
-from reconstruct.numerics.safe import linear_from_srgb
-from reconstruct.rendering.model import Model, Rendered
-from reconstruct.scene.facts import SceneFacts
-from reconstruct.scene.rays import Normalisation
+from koala3d.reconstruct.config import Config
+from koala3d.reconstruct.models import load_config, merged
+from koala3d.reconstruct.numerics.safe import linear_from_srgb
+from koala3d.reconstruct.rendering.model import Model, Rendered
+from koala3d.reconstruct.scene.facts import SceneFacts
+from koala3d.reconstruct.scene.rays import Normalisation
 from tests import drawn
 
 FACTS = SceneFacts(Normalisation((0.0, 0.0, 0.0), 1.0, True, 0.5, 4.0))

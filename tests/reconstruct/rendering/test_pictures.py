@@ -4,10 +4,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.output.trained_model import TrainedModel
-from reconstruct.rendering import pictures
-from reconstruct.rendering.pictures import Renderer
-from reconstruct.scene.rays import Rays, view_rays
+from koala3d.reconstruct.output.trained_model import TrainedModel
+from koala3d.reconstruct.rendering import pictures
+from koala3d.reconstruct.rendering.pictures import Renderer
+from koala3d.reconstruct.scene.rays import Rays, view_rays
 
 
 def rays_of(trained: TrainedModel) -> Rays:

@@ -5,13 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from datasets.core.progress import ignore
-from datasets.imaging.images import linear_from_srgb, srgb_from_linear
-from datasets.scene import Scene
-from reconstruct.models import load_config
-from reconstruct.output.trained_model import TrainedModel
-from reconstruct.rendering.probe import PIXELS, Probe, held_out_psnr
-from reconstruct.scene.rays import Normalisation, Pixels
+from koala3d.datasets.core.progress import ignore
+from koala3d.datasets.imaging.images import linear_from_srgb, srgb_from_linear
+from koala3d.datasets.scene import Scene
+from koala3d.reconstruct.models import load_config
+from koala3d.reconstruct.output.trained_model import TrainedModel
+from koala3d.reconstruct.rendering.probe import PIXELS, Probe, held_out_psnr
+from koala3d.reconstruct.scene.rays import Normalisation, Pixels
 
 
 class Silent:

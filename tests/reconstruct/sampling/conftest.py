@@ -7,9 +7,9 @@ import jax
 import numpy as np
 import pytest
 
-from reconstruct.sampling.steps import Steps
-from reconstruct.scene.rays import Rays
-from reconstruct.scene.space import BALL, BOX
+from koala3d.reconstruct.sampling.steps import Steps
+from koala3d.reconstruct.scene.rays import Rays
+from koala3d.reconstruct.scene.space import BALL, BOX
 from tests import drawn
 
 

@@ -10,15 +10,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from reconstruct.numerics.compiling import jit
-from reconstruct.sampling import compiled as kernels
-from reconstruct.sampling.occupancy import Occupancy
-from reconstruct.sampling.packing import draw, draw_probability, expected_depth, packed_samples
-from reconstruct.sampling.samples import RaySamples
-from reconstruct.sampling.steps import Steps
-from reconstruct.scene.frustum import Frustum
-from reconstruct.scene.rays import Rays
-from reconstruct.scene.space import BALL, BOX, Space
+from koala3d.reconstruct.numerics.compiling import jit
+from koala3d.reconstruct.sampling import compiled as kernels
+from koala3d.reconstruct.sampling.occupancy import Occupancy
+from koala3d.reconstruct.sampling.packing import draw, draw_probability, expected_depth, packed_samples
+from koala3d.reconstruct.sampling.samples import RaySamples
+from koala3d.reconstruct.sampling.steps import Steps
+from koala3d.reconstruct.scene.frustum import Frustum
+from koala3d.reconstruct.scene.rays import Rays
+from koala3d.reconstruct.scene.space import BALL, BOX, Space
 from tests import drawn
 
 pytestmark = pytest.mark.usefixtures("kernels_run")

@@ -4,10 +4,10 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from reconstruct.sampling import focus
-from reconstruct.sampling.occupancy import Occupancy, cell_centres
-from reconstruct.scene.rays import Rays
-from reconstruct.scene.space import BALL
+from koala3d.reconstruct.sampling import focus
+from koala3d.reconstruct.sampling.occupancy import Occupancy, cell_centres
+from koala3d.reconstruct.scene.rays import Rays
+from koala3d.reconstruct.scene.space import BALL
 from tests import drawn
 
 GRID, HALF_BOX, RADIUS = 32, (0.5, 0.4, 0.6), 0.3

@@ -4,11 +4,11 @@ import equinox as eqx
 import numpy as np
 import pytest
 
-from datasets.scene import Scene
-from reconstruct.sampling import hull
-from reconstruct.sampling.hull import cells_in_masks
-from reconstruct.sampling.occupancy import cell_centres
-from reconstruct.scene.rays import Normalisation, Pixels
+from koala3d.datasets.scene import Scene
+from koala3d.reconstruct.sampling import hull
+from koala3d.reconstruct.sampling.hull import cells_in_masks
+from koala3d.reconstruct.sampling.occupancy import cell_centres
+from koala3d.reconstruct.scene.rays import Normalisation, Pixels
 from tests import drawn
 
 

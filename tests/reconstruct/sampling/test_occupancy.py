@@ -4,13 +4,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.models import load_config
-from reconstruct.rendering.model import Model
-from reconstruct.sampling.occupancy import Occupancy
-from reconstruct.scene.contraction import contract
-from reconstruct.scene.facts import SceneFacts
-from reconstruct.scene.rays import Normalisation
-from reconstruct.scene.space import BALL, BOX
+from koala3d.reconstruct.models import load_config
+from koala3d.reconstruct.rendering.model import Model
+from koala3d.reconstruct.sampling.occupancy import Occupancy
+from koala3d.reconstruct.scene.contraction import contract
+from koala3d.reconstruct.scene.facts import SceneFacts
+from koala3d.reconstruct.scene.rays import Normalisation
+from koala3d.reconstruct.scene.space import BALL, BOX
 from tests import drawn
 
 CELL = jax.jit(Occupancy.cell)

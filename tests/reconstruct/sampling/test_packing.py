@@ -3,11 +3,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.sampling.occupancy import Occupancy
-from reconstruct.sampling.packing import HIDDEN, draw, draw_probability, expected_depth, packed_samples, select_bit
-from reconstruct.sampling.samples import RaySamples
-from reconstruct.sampling.steps import FRONT, Steps
-from reconstruct.scene.space import BALL, BOX
+from koala3d.reconstruct.sampling.occupancy import Occupancy
+from koala3d.reconstruct.sampling.packing import HIDDEN, draw, draw_probability, expected_depth, packed_samples, select_bit
+from koala3d.reconstruct.sampling.samples import RaySamples
+from koala3d.reconstruct.sampling.steps import FRONT, Steps
+from koala3d.reconstruct.scene.space import BALL, BOX
 from tests import drawn
 
 PACK = jax.jit(packed_samples, static_argnames=("capacity", "max_per_ray"))

@@ -3,11 +3,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.config import EncodingConfig
-from reconstruct.field.cloud import Cloud
-from reconstruct.sampling.proposals import Proposal, Spacing, propose
-from reconstruct.scene.rays import Normalisation, Rays
-from reconstruct.scene.space import BOX
+from koala3d.reconstruct.config import EncodingConfig
+from koala3d.reconstruct.field.cloud import Cloud
+from koala3d.reconstruct.sampling.proposals import Proposal, Spacing, propose
+from koala3d.reconstruct.scene.rays import Normalisation, Rays
+from koala3d.reconstruct.scene.space import BOX
 from tests import drawn
 
 

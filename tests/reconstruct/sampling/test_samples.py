@@ -2,7 +2,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reconstruct.sampling.samples import RaySamples
+from koala3d.reconstruct.sampling.samples import RaySamples
 from tests import drawn
 
 PADDED, PACKED = jax.jit(RaySamples.padded), jax.jit(RaySamples.packed)

@@ -2,7 +2,7 @@ import jax
 import numpy as np
 import pytest
 
-from reconstruct.sampling.steps import BEHIND, FRONT, Steps
+from koala3d.reconstruct.sampling.steps import BEHIND, FRONT, Steps
 
 AT = jax.jit(Steps.at)
 

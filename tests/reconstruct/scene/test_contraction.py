@@ -2,7 +2,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reconstruct.scene.contraction import contract, contract_coordinates, contraction_scale, pull_back
+from koala3d.reconstruct.scene.contraction import contract, contract_coordinates, contraction_scale, pull_back
 
 CONTRACT = jax.jit(contract)
 SCALE = jax.jit(contraction_scale)

@@ -10,11 +10,11 @@ import jax
 import numpy as np
 import pytest
 
-from datasets.scene import Scene
-from reconstruct.models import load_config
-from reconstruct.rendering.model import Model
-from reconstruct.scene.facts import SceneFacts
-from reconstruct.scene.rays import Normalisation
+from koala3d.datasets.scene import Scene
+from koala3d.reconstruct.models import load_config
+from koala3d.reconstruct.rendering.model import Model
+from koala3d.reconstruct.scene.facts import SceneFacts
+from koala3d.reconstruct.scene.rays import Normalisation
 
 SMALL = ["encoding.levels=2", "encoding.log2_size=8", "sampler.grid=16", "sampler.outer_grid=8"]
 

@@ -8,12 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from datasets.camera_model import Camera
-from datasets.scene import View
-from reconstruct.sampling.steps import Steps
-from reconstruct.scene.facts import SceneFacts
-from reconstruct.scene.frustum import Frustum, frustum_of
-from reconstruct.scene.rays import Normalisation, Rays
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.scene import View
+from koala3d.reconstruct.sampling.steps import Steps
+from koala3d.reconstruct.scene.facts import SceneFacts
+from koala3d.reconstruct.scene.frustum import Frustum, frustum_of
+from koala3d.reconstruct.scene.rays import Normalisation, Rays
 from tests import drawn
 
 NEAR, FAR = 0.5, 6.0

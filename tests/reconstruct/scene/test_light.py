@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from datasets import pose
-from reconstruct.scene.light import STILL, LightFrame
+from koala3d.datasets import pose
+from koala3d.reconstruct.scene.light import STILL, LightFrame
 
 TURNTABLE, RING = LightFrame("turntable"), LightFrame("camera")
 

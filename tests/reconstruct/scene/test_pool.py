@@ -5,13 +5,13 @@ import jax
 import numpy as np
 import pytest
 
-from datasets.camera_model import Camera
-from datasets.imaging.copies import Copies
-from datasets.scene import Scene
-from reconstruct.scene import pool as pools
-from reconstruct.scene import rays
-from reconstruct.scene.pool import Pool
-from reconstruct.scene.rays import Normalisation, Pixels
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.imaging.copies import Copies
+from koala3d.datasets.scene import Scene
+from koala3d.reconstruct.scene import pool as pools
+from koala3d.reconstruct.scene import rays
+from koala3d.reconstruct.scene.pool import Pool
+from koala3d.reconstruct.scene.rays import Normalisation, Pixels
 
 LENS = Camera(96, 72, 90.0, 88.0, 47.0, 37.0, k1=-0.2, k2=0.05, p1=0.001, p2=-0.002)
 SIZE = 96 * 72

@@ -8,21 +8,21 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from datasets import pose
-from datasets.core.console import progress
-from datasets.core.errors import DatasetError
-from datasets.scene import Scene, View
-from reconstruct.config import Config
-from reconstruct.models import merged_config
-from reconstruct.output.trained_model import TrainedModel
-from reconstruct.run import Run
-from reconstruct.sampling.hull import cells_in_masks
-from reconstruct.scene import poses
-from reconstruct.scene.facts import SceneFacts
-from reconstruct.scene.rays import Normalisation, Pixels, Rays, view_rays
-from reconstruct.scene.twists import moved
-from reconstruct.training import batches, objective, optimiser
-from reconstruct.training.step import Step
+from koala3d.datasets import pose
+from koala3d.datasets.core.console import progress
+from koala3d.datasets.core.errors import DatasetError
+from koala3d.datasets.scene import Scene, View
+from koala3d.reconstruct.config import Config
+from koala3d.reconstruct.models import merged_config
+from koala3d.reconstruct.output.trained_model import TrainedModel
+from koala3d.reconstruct.run import Run
+from koala3d.reconstruct.sampling.hull import cells_in_masks
+from koala3d.reconstruct.scene import poses
+from koala3d.reconstruct.scene.facts import SceneFacts
+from koala3d.reconstruct.scene.rays import Normalisation, Pixels, Rays, view_rays
+from koala3d.reconstruct.scene.twists import moved
+from koala3d.reconstruct.training import batches, objective, optimiser
+from koala3d.reconstruct.training.step import Step
 from tests import drawn
 from tests.small import Trainable
 

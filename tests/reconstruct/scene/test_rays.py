@@ -5,9 +5,17 @@ import jax
 import numpy as np
 import pytest
 
-from datasets.scene import Scene
-from datasets.spline import Grid, Spline
-from reconstruct.scene.rays import Normalisation, Pixels, Rays, direction_of_cameras, read_scaled, scaled_camera, view_rays
+from koala3d.datasets.scene import Scene
+from koala3d.datasets.spline import Grid, Spline
+from koala3d.reconstruct.scene.rays import (
+    Normalisation,
+    Pixels,
+    Rays,
+    direction_of_cameras,
+    read_scaled,
+    scaled_camera,
+    view_rays,
+)
 
 
 class Silent:

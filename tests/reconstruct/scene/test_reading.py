@@ -4,12 +4,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.imaging.copies import Copies
-from datasets.scene import Scene
-from reconstruct.scene import pool as pools
-from reconstruct.scene import rays
-from reconstruct.scene.rays import Normalisation, read_scaled
-from reconstruct.scene.reading import held_out, training_pixels
+from koala3d.datasets.imaging.copies import Copies
+from koala3d.datasets.scene import Scene
+from koala3d.reconstruct.scene import pool as pools
+from koala3d.reconstruct.scene import rays
+from koala3d.reconstruct.scene.rays import Normalisation, read_scaled
+from koala3d.reconstruct.scene.reading import held_out, training_pixels
 
 
 class Silent:

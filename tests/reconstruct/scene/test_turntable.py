@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from datasets import pose
-from reconstruct.scene.turntable import turning
+from koala3d.datasets import pose
+from koala3d.reconstruct.scene.turntable import turning
 
 AXIS = np.array([0.36, -0.48, 0.8])
 

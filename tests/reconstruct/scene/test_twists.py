@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from reconstruct.scene.rays import Rays
-from reconstruct.scene.twists import followed, gauge, moved, without_gauge
+from koala3d.reconstruct.scene.rays import Rays
+from koala3d.reconstruct.scene.twists import followed, gauge, moved, without_gauge
 from tests import drawn
 
 VIEWS, RAYS = 7, 60

@@ -6,8 +6,8 @@ import signal
 from dataclasses import replace
 from pathlib import Path
 
-from datasets.core.errors import UsageError
-from reconstruct.studies.jobs import Job
+from koala3d.datasets.core.errors import UsageError
+from koala3d.reconstruct.studies.jobs import Job
 
 
 class Written(Job):

@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
-from datasets.core.errors import UsageError
-from datasets.scene import Scene
-from reconstruct.models import load_config
-from reconstruct.run import Run
-from reconstruct.studies import ablate, jobs
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.scene import Scene
+from koala3d.reconstruct.models import load_config
+from koala3d.reconstruct.run import Run
+from koala3d.reconstruct.studies import ablate, jobs
 
 
 def test_the_grid_changes_one_thing_at_a_time() -> None:

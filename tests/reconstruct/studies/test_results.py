@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from datasets.core.errors import DatasetError, UsageError
-from reconstruct.run import Run
-from reconstruct.studies.results import row_of_seeds, rows_of_runs
+from koala3d.datasets.core.errors import DatasetError, UsageError
+from koala3d.reconstruct.run import Run
+from koala3d.reconstruct.studies.results import row_of_seeds, rows_of_runs
 
 
 @pytest.fixture

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from datasets.core.errors import UsageError
-from reconstruct.studies import results_table
-from reconstruct.studies.results import Row
+from koala3d.datasets.core.errors import UsageError
+from koala3d.reconstruct.studies import results_table
+from koala3d.reconstruct.studies.results import Row
 
 ROWS = [
     Row("car", "zip_refnerf", {"psnr": 30.371, "ssim": 0.955, "normal_mae_alpha_acc_deg": 16.37, "disparity_rmse": 0.205}),

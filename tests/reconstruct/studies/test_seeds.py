@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from reconstruct.studies.seeds import Sample, welch
+from koala3d.reconstruct.studies.seeds import Sample, welch
 
 
 def test_welch_of_summaries_is_scipys_of_the_values() -> None:

@@ -2,18 +2,18 @@ from pathlib import Path
 
 import pytest
 
-from datasets.core import files
-from datasets.core.errors import UsageError
-from datasets.scene import Scene
-from reconstruct.models import load_config
-from reconstruct.output.evaluate import METRICS
-from reconstruct.run import Run
-from reconstruct.scene.facts import SceneFacts
-from reconstruct.scene.rays import Normalisation
-from reconstruct.studies import skips
-from reconstruct.studies.jobs import BASE, CELLS, Job
-from reconstruct.training.skipping import record
-from reconstruct.training.skipping.record import Skip
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.scene import Scene
+from koala3d.reconstruct.models import load_config
+from koala3d.reconstruct.output.evaluate import METRICS
+from koala3d.reconstruct.run import Run
+from koala3d.reconstruct.scene.facts import SceneFacts
+from koala3d.reconstruct.scene.rays import Normalisation
+from koala3d.reconstruct.studies import skips
+from koala3d.reconstruct.studies.jobs import BASE, CELLS, Job
+from koala3d.reconstruct.training.skipping import record
+from koala3d.reconstruct.training.skipping.record import Skip
 
 
 def cell(

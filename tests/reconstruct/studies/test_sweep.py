@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from datasets.core.errors import UsageError
-from datasets.core.extras import not_installed
-from datasets.scene import Scene
-from reconstruct.errors import ReconstructError
-from reconstruct.studies import sweep
-from reconstruct.studies.jobs import Job
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.core.extras import not_installed
+from koala3d.datasets.scene import Scene
+from koala3d.reconstruct.errors import ReconstructError
+from koala3d.reconstruct.studies import sweep
+from koala3d.reconstruct.studies.jobs import Job
 from tests.reconstruct.studies.odd_jobs import write_run
 
 
@@ -106,7 +106,7 @@ def test_relative_paths_are_those_of_the_first_working_directory(
 
 def test_without_ray_its_extra_is_named(ball_scene: tuple[Scene, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
-    monkeypatch.delitem(sys.modules, "reconstruct.studies.on_ray", raising=False)
+    monkeypatch.delitem(sys.modules, "koala3d.reconstruct.studies.on_ray", raising=False)
     with pytest.raises(ModuleNotFoundError) as caught:
         sweep.run(sweep.plan([str(ball_scene[1])], ["zipnerf"], "fast", [], None, tmp_path), tmp_path, use_ray=True)
     assert str(not_installed(caught.value)) == "ray is not installed; pip install 'koala-capture[sweep]'"

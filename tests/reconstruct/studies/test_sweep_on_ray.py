@@ -21,18 +21,18 @@ from unittest import mock
 
 import pytest
 
-from datasets.core.errors import UsageError
-from datasets.formats import koala
-from datasets.scene import Scene
-from reconstruct import checkpoint
-from reconstruct.cli import main
-from reconstruct.errors import ReconstructError
-from reconstruct.output.evaluate import METRICS
-from reconstruct.run import CHECKPOINTS
-from reconstruct.studies import sweep
-from reconstruct.studies.job_log import log_of
-from reconstruct.studies.jobs import Job
-from reconstruct.training.pace.pause import PauseRequests
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.formats import koala
+from koala3d.datasets.scene import Scene
+from koala3d.reconstruct import checkpoint
+from koala3d.reconstruct.cli import main
+from koala3d.reconstruct.errors import ReconstructError
+from koala3d.reconstruct.output.evaluate import METRICS
+from koala3d.reconstruct.run import CHECKPOINTS
+from koala3d.reconstruct.studies import sweep
+from koala3d.reconstruct.studies.job_log import log_of
+from koala3d.reconstruct.studies.jobs import Job
+from koala3d.reconstruct.training.pace.pause import PauseRequests
 from tests.moments import until
 from tests.reconstruct.studies.odd_jobs import Astray, Dying, Faulty, Refused, Written
 from tests.small import SET
@@ -41,7 +41,7 @@ cluster_utils = pytest.importorskip("ray.cluster_utils", reason="Ray is absent: 
 if sys.platform != "linux":
     pytest.skip("processes are looked up in /proc", allow_module_level=True)
 
-from reconstruct.studies import on_ray  # noqa: E402
+from koala3d.reconstruct.studies import on_ray  # noqa: E402
 
 pytestmark = pytest.mark.filterwarnings("ignore:os.fork")  # so Ray starts a node; the child becomes its program at once
 ROOT = Path(__file__).parents[3]

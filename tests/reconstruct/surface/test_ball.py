@@ -3,8 +3,8 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from reconstruct.config import SurfaceConfig
-from reconstruct.surface.ball import ball_samples, random_rotations, shell_radii, sphere_directions
+from koala3d.reconstruct.config import SurfaceConfig
+from koala3d.reconstruct.surface.ball import ball_samples, random_rotations, shell_radii, sphere_directions
 
 
 @pytest.mark.parametrize("count", [4, 32, 1000])

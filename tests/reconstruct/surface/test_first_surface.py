@@ -3,8 +3,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.sampling.samples import RaySamples
-from reconstruct.surface.first_surface import HALF_WIDTH, Surface, Surfaces, find_surfaces, first_surface, neighbourhood_radius
+from koala3d.reconstruct.sampling.samples import RaySamples
+from koala3d.reconstruct.surface.first_surface import (
+    HALF_WIDTH,
+    Surface,
+    Surfaces,
+    find_surfaces,
+    first_surface,
+    neighbourhood_radius,
+)
 from tests import drawn
 
 FIRST = jax.jit(first_surface, static_argnums=2)

@@ -6,17 +6,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.field.field import Field
-from reconstruct.field.near import Near
-from reconstruct.models import load_config
-from reconstruct.rendering.model import Model
-from reconstruct.scene.facts import SceneFacts
-from reconstruct.scene.rays import Normalisation, Rays
-from reconstruct.scene.space import BALL, BOX
-from reconstruct.surface import regularisers
-from reconstruct.surface.first_surface import Surface
-from reconstruct.surface.parts import bias_for_two_kinds, kinds_told_apart, towards_surface
-from reconstruct.surface.place import Place
+from koala3d.reconstruct.field.field import Field
+from koala3d.reconstruct.field.near import Near
+from koala3d.reconstruct.models import load_config
+from koala3d.reconstruct.rendering.model import Model
+from koala3d.reconstruct.scene.facts import SceneFacts
+from koala3d.reconstruct.scene.rays import Normalisation, Rays
+from koala3d.reconstruct.scene.space import BALL, BOX
+from koala3d.reconstruct.surface import regularisers
+from koala3d.reconstruct.surface.first_surface import Surface
+from koala3d.reconstruct.surface.parts import bias_for_two_kinds, kinds_told_apart, towards_surface
+from koala3d.reconstruct.surface.place import Place
 from tests import drawn
 
 SMALL = [

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.surface import regularisers
+from koala3d.reconstruct.surface import regularisers
 
 
 def unit(shape: tuple[int, ...], seed: int) -> np.ndarray:

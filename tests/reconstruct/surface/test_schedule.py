@@ -1,6 +1,6 @@
 import numpy as np
 
-from reconstruct.surface.second_pass import second_pass_period
+from koala3d.reconstruct.surface.second_pass import second_pass_period
 
 
 def test_the_second_pass_s_period_falls_from_512_to_4_in_powers_of_two() -> None:

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct import checkpoint
-from reconstruct.run import CHECKPOINTS
-from reconstruct.training.training import Training
+from koala3d.reconstruct import checkpoint
+from koala3d.reconstruct.run import CHECKPOINTS
+from koala3d.reconstruct.training.training import Training
 
 
 @pytest.fixture

@@ -13,18 +13,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from datasets.core.errors import UsageError
-from datasets.scene import Scene
-from reconstruct import checkpoint
-from reconstruct.errors import ReconstructError
-from reconstruct.rendering.model import Model
-from reconstruct.run import CHECKPOINTS, Run
-from reconstruct.training import distributed
-from reconstruct.training.batches import Division
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.scene import Scene
+from koala3d.reconstruct import checkpoint
+from koala3d.reconstruct.errors import ReconstructError
+from koala3d.reconstruct.rendering.model import Model
+from koala3d.reconstruct.run import CHECKPOINTS, Run
+from koala3d.reconstruct.training import distributed
+from koala3d.reconstruct.training.batches import Division
 
 PATIENCE_S = 840
 """For processes that compile on a computer that may be busy with other things."""
-COMMAND = "from reconstruct.cli import main; main()"
+COMMAND = "from koala3d.reconstruct.cli import main; main()"
 SMALL = [
     "encoding.levels=1",
     "encoding.log2_size=6",
@@ -44,8 +44,8 @@ import json, sys
 from pathlib import Path
 
 import jax, jax.numpy as jnp, numpy as np
-from datasets.core.errors import KoalaError
-from reconstruct.training import distributed
+from koala3d.datasets.core.errors import KoalaError
+from koala3d.reconstruct.training import distributed
 
 process, coordinator, folder = int(sys.argv[1]), sys.argv[2], Path(sys.argv[3])
 distributed.join(coordinator, 2, process)
@@ -82,15 +82,15 @@ import hashlib, json, os, re, sys
 
 os.environ["KOALA_KERNELS"] = "off"  # whose operations the compiler does not count
 import jax, jax.numpy as jnp, numpy as np
-from reconstruct.bench.gpu.plan import SMALL
-from reconstruct.field.encodings import grid
-from reconstruct.models import load_config
-from reconstruct.scene.facts import SceneFacts
-from reconstruct.scene.rays import Normalisation, Pixels
-from reconstruct.training import distributed
-from reconstruct.training.batches import Division, drawn_batch
-from reconstruct.training.programs import traced
-from reconstruct.training.step import Step
+from koala3d.reconstruct.bench.gpu.plan import SMALL
+from koala3d.reconstruct.field.encodings import grid
+from koala3d.reconstruct.models import load_config
+from koala3d.reconstruct.scene.facts import SceneFacts
+from koala3d.reconstruct.scene.rays import Normalisation, Pixels
+from koala3d.reconstruct.training import distributed
+from koala3d.reconstruct.training.batches import Division, drawn_batch
+from koala3d.reconstruct.training.programs import traced
+from koala3d.reconstruct.training.step import Step
 from dataclasses import replace
 
 grid.by_row = lambda: True  # as several devices do it

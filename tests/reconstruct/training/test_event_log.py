@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from datasets.core.errors import UsageError
-from datasets.scene import Scene
-from reconstruct.config import Config
-from reconstruct.models import merged_config
-from reconstruct.run import Run
-from reconstruct.training.event_log import event_log, scalars_of
-from reconstruct.training.loop import train
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.scene import Scene
+from koala3d.reconstruct.config import Config
+from koala3d.reconstruct.models import merged_config
+from koala3d.reconstruct.run import Run
+from koala3d.reconstruct.training.event_log import event_log, scalars_of
+from koala3d.reconstruct.training.loop import train
 
 LINE = {
     "step": 16,

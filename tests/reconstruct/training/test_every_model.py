@@ -13,12 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from datasets.formats import load_scene
-from reconstruct import models
-from reconstruct.scene.facts import SceneFacts
-from reconstruct.scene.rays import Normalisation, Pixels
-from reconstruct.training.faults import FAULTS
-from reconstruct.training.step import TrainState
+from koala3d.datasets.formats import load_scene
+from koala3d.reconstruct import models
+from koala3d.reconstruct.scene.facts import SceneFacts
+from koala3d.reconstruct.scene.rays import Normalisation, Pixels
+from koala3d.reconstruct.training.faults import FAULTS
+from koala3d.reconstruct.training.step import TrainState
 from tests.reconstruct import glossy_ball
 from tests.small import Trainable, small
 

@@ -4,11 +4,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.models import load_config
-from reconstruct.rendering.model import Model
-from reconstruct.scene.facts import SceneFacts
-from reconstruct.scene.rays import Normalisation
-from reconstruct.training.faults import FAULTS, cause, finite_parts, packed, parts_of
+from koala3d.reconstruct.models import load_config
+from koala3d.reconstruct.rendering.model import Model
+from koala3d.reconstruct.scene.facts import SceneFacts
+from koala3d.reconstruct.scene.rays import Normalisation
+from koala3d.reconstruct.training.faults import FAULTS, cause, finite_parts, packed, parts_of
 
 SMALL = ["encoding.levels=2", "encoding.log2_size=8", "field.spatial_width=8", "field.view_width=8"]
 

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from datasets.scene import Scene
-from reconstruct.models import names
+from koala3d.datasets.scene import Scene
+from koala3d.reconstruct.models import names
 from tests.reconstruct import glossy_ball
 
 FLOORS = {
@@ -42,7 +42,7 @@ def psnr(model: str, scene: Path, out: Path, *more: str) -> float:
 
 
 def command(*arguments: str) -> None:
-    code = "from reconstruct.cli import main; main()"
+    code = "from koala3d.reconstruct.cli import main; main()"
     done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, timeout=500, check=False)
     assert done.returncode == 0, done.stderr
 

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from datasets.core.errors import KoalaError
-from datasets.scene import Scene
-from reconstruct import checkpoint
-from reconstruct.config import Config
-from reconstruct.models import merged_config
-from reconstruct.run import CHECKPOINTS, Run
-from reconstruct.scene.facts import SceneFacts
-from reconstruct.scene.rays import Normalisation
-from reconstruct.training.loop import start, train
+from koala3d.datasets.core.errors import KoalaError
+from koala3d.datasets.scene import Scene
+from koala3d.reconstruct import checkpoint
+from koala3d.reconstruct.config import Config
+from koala3d.reconstruct.models import merged_config
+from koala3d.reconstruct.run import CHECKPOINTS, Run
+from koala3d.reconstruct.scene.facts import SceneFacts
+from koala3d.reconstruct.scene.rays import Normalisation
+from koala3d.reconstruct.training.loop import start, train
 
 State = namedtuple("State", ["step", "weights"])
 """Stands for a training state: checkpoints take any tree with a step."""

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.scene import Scene
-from reconstruct import checkpoint
-from reconstruct.run import CHECKPOINTS, RUN, Run
+from koala3d.datasets.scene import Scene
+from koala3d.reconstruct import checkpoint
+from koala3d.reconstruct.run import CHECKPOINTS, RUN, Run
 
 KILLS, STEPS = 20, 1600
 SETTINGS = (
@@ -33,7 +33,7 @@ SETTINGS = (
 
 def command(scene: Path, out: Path) -> list[str]:
     settings = [word for setting in SETTINGS for word in ("--set", setting)]
-    return [sys.executable, "-m", "reconstruct.cli", "train", str(scene), "--out", str(out), *settings]
+    return [sys.executable, "-m", "koala3d.reconstruct.cli", "train", str(scene), "--out", str(out), *settings]
 
 
 def killed(words: list[str], out: Path, wait_s: float, *, training: bool) -> bool:

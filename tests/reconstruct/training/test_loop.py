@@ -7,20 +7,20 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from datasets.core import files
-from datasets.core.errors import UsageError
-from datasets.scene import Scene
-from reconstruct import checkpoint
-from reconstruct.config import Config
-from reconstruct.errors import ReconstructError
-from reconstruct.models import finetuned, load_config, merged_config
-from reconstruct.output.trained_model import TrainedModel
-from reconstruct.run import CHECKPOINTS, FAULTS, Run
-from reconstruct.scene.poses import POSES
-from reconstruct.training.faults import FAULTS as FAULT_BITS
-from reconstruct.training.loop import start, train
-from reconstruct.training.skipping import record
-from reconstruct.training.step import Step
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.scene import Scene
+from koala3d.reconstruct import checkpoint
+from koala3d.reconstruct.config import Config
+from koala3d.reconstruct.errors import ReconstructError
+from koala3d.reconstruct.models import finetuned, load_config, merged_config
+from koala3d.reconstruct.output.trained_model import TrainedModel
+from koala3d.reconstruct.run import CHECKPOINTS, FAULTS, Run
+from koala3d.reconstruct.scene.poses import POSES
+from koala3d.reconstruct.training.faults import FAULTS as FAULT_BITS
+from koala3d.reconstruct.training.loop import start, train
+from koala3d.reconstruct.training.skipping import record
+from koala3d.reconstruct.training.step import Step
 from tests.reconstruct import glossy_ball
 from tests.small import small
 

@@ -2,7 +2,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reconstruct.training import losses
+from koala3d.reconstruct.training import losses
 
 
 def unit(shape: tuple[int, ...], seed: int) -> np.ndarray:

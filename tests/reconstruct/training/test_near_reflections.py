@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from datasets.scene import Scene
+from koala3d.datasets.scene import Scene
 from tests.small import Trainable, small
 
 CHANGES = {

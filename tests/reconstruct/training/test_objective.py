@@ -8,23 +8,23 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.config import LossConfig, SurfaceConfig
-from reconstruct.field.appearance import Material, Shading
-from reconstruct.field.cloud import Cloud
-from reconstruct.field.field import Field
-from reconstruct.field.lit import Lit
-from reconstruct.field.near import Near
-from reconstruct.models import load_config
-from reconstruct.rendering.model import Model, Rendered
-from reconstruct.sampling.samples import RaySamples
-from reconstruct.scene.facts import SceneFacts
-from reconstruct.scene.rays import Normalisation, Rays
-from reconstruct.scene.space import BOX
-from reconstruct.surface import second_pass
-from reconstruct.surface.first_surface import Surface, Surfaces
-from reconstruct.surface.place import Place
-from reconstruct.surface.second_pass import SecondPass
-from reconstruct.training import objective
+from koala3d.reconstruct.config import LossConfig, SurfaceConfig
+from koala3d.reconstruct.field.appearance import Material, Shading
+from koala3d.reconstruct.field.cloud import Cloud
+from koala3d.reconstruct.field.field import Field
+from koala3d.reconstruct.field.lit import Lit
+from koala3d.reconstruct.field.near import Near
+from koala3d.reconstruct.models import load_config
+from koala3d.reconstruct.rendering.model import Model, Rendered
+from koala3d.reconstruct.sampling.samples import RaySamples
+from koala3d.reconstruct.scene.facts import SceneFacts
+from koala3d.reconstruct.scene.rays import Normalisation, Rays
+from koala3d.reconstruct.scene.space import BOX
+from koala3d.reconstruct.surface import second_pass
+from koala3d.reconstruct.surface.first_surface import Surface, Surfaces
+from koala3d.reconstruct.surface.place import Place
+from koala3d.reconstruct.surface.second_pass import SecondPass
+from koala3d.reconstruct.training import objective
 
 SMALL = ["encoding.levels=2", "encoding.log2_size=4", "field.spatial_width=4", "field.view_width=4", "sampler.grid=8"]
 FACTS = SceneFacts(Normalisation((0.0, 0.0, 0.0), 1.0, True, 0.5, 4.5))

@@ -6,14 +6,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from datasets.scene import Scene
-from reconstruct.config import Config
-from reconstruct.models import merged_config
-from reconstruct.run import PICTURES, Run
-from reconstruct.scene import pool as pools
-from reconstruct.scene import rays
-from reconstruct.training.faults import FAULTS as FAULT_BITS
-from reconstruct.training.loop import start, train
+from koala3d.datasets.scene import Scene
+from koala3d.reconstruct.config import Config
+from koala3d.reconstruct.models import merged_config
+from koala3d.reconstruct.run import PICTURES, Run
+from koala3d.reconstruct.scene import pool as pools
+from koala3d.reconstruct.scene import rays
+from koala3d.reconstruct.training.faults import FAULTS as FAULT_BITS
+from koala3d.reconstruct.training.loop import start, train
 
 
 @pytest.fixture

@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
-from datasets.scene import Scene
-from reconstruct.models import load_config
-from reconstruct.output.evaluate import evaluate
-from reconstruct.output.trained_model import TrainedModel
-from reconstruct.training.loop import train
+from koala3d.datasets.scene import Scene
+from koala3d.reconstruct.models import load_config
+from koala3d.reconstruct.output.evaluate import evaluate
+from koala3d.reconstruct.output.trained_model import TrainedModel
+from koala3d.reconstruct.training.loop import train
 from tests.reconstruct import glossy_ball
 
 PSNR_DB, DENSITY_DEG, PREDICTED_DEG = 25.6, 5.3, 3.1

@@ -3,13 +3,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.config import Config
-from reconstruct.errors import ReconstructError
-from reconstruct.models import PRESETS, load_config, merged
-from reconstruct.scene.facts import SceneFacts
-from reconstruct.scene.rays import Normalisation, Pixels
-from reconstruct.training import ray_count
-from reconstruct.training.step import Step
+from koala3d.reconstruct.config import Config
+from koala3d.reconstruct.errors import ReconstructError
+from koala3d.reconstruct.models import PRESETS, load_config, merged
+from koala3d.reconstruct.scene.facts import SceneFacts
+from koala3d.reconstruct.scene.rays import Normalisation, Pixels
+from koala3d.reconstruct.training import ray_count
+from koala3d.reconstruct.training.step import Step
 
 FACTS = SceneFacts(Normalisation((0.0, 0.0, 0.0), 1.0, True, 0.5, 4.0))
 

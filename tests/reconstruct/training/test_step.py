@@ -14,15 +14,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct import models
-from reconstruct.kernels import native
-from reconstruct.scene.facts import SceneFacts
-from reconstruct.scene.rays import Normalisation, Pixels
-from reconstruct.surface.second_pass import SecondPass
-from reconstruct.training.batches import Division
-from reconstruct.training.faults import FAULTS
-from reconstruct.training.optimiser import Optimiser
-from reconstruct.training.step import Part, Step
+from koala3d.reconstruct import models
+from koala3d.reconstruct.kernels import native
+from koala3d.reconstruct.scene.facts import SceneFacts
+from koala3d.reconstruct.scene.rays import Normalisation, Pixels
+from koala3d.reconstruct.surface.second_pass import SecondPass
+from koala3d.reconstruct.training.batches import Division
+from koala3d.reconstruct.training.faults import FAULTS
+from koala3d.reconstruct.training.optimiser import Optimiser
+from koala3d.reconstruct.training.step import Part, Step
 from tests.small import SIZES, Trainable, small
 
 FACTS = SceneFacts(Normalisation((0.0, 0.0, 0.0), 1.0, True, 0.5, 4.0))
@@ -64,12 +64,12 @@ def test_the_bias_at_an_object_waits_until_two_fifths_of_the_training(monkeypatc
 
 SHARDED = """
 import jax, jax.numpy as jnp, numpy as np
-from reconstruct.config import Config
-from reconstruct.models import load_config, merged
-from reconstruct.scene.facts import SceneFacts
-from reconstruct.scene.rays import Normalisation, Pixels
-from reconstruct.training.batches import Division
-from reconstruct.training.step import Step
+from koala3d.reconstruct.config import Config
+from koala3d.reconstruct.models import load_config, merged
+from koala3d.reconstruct.scene.facts import SceneFacts
+from koala3d.reconstruct.scene.rays import Normalisation, Pixels
+from koala3d.reconstruct.training.batches import Division
+from koala3d.reconstruct.training.step import Step
 from dataclasses import replace
 import json, sys
 

@@ -12,11 +12,11 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.camera_model import Camera
-from reconstruct.asset.stage.sensor import MITSUBA_FROM_OPENCV, pinhole
-from reconstruct.bench.scenes.near.materials import Coated, Glass, Material, Matte, Metal, Partly
-from reconstruct.bench.scenes.near.scenes import LAMP_RADIUS, ROOM, NearScene
-from reconstruct.errors import ReconstructError
+from koala3d.datasets.camera_model import Camera
+from koala3d.reconstruct.asset.stage.sensor import MITSUBA_FROM_OPENCV, pinhole
+from koala3d.reconstruct.bench.scenes.near.materials import Coated, Glass, Material, Matte, Metal, Partly
+from koala3d.reconstruct.bench.scenes.near.scenes import LAMP_RADIUS, ROOM, NearScene
+from koala3d.reconstruct.errors import ReconstructError
 
 EDGES, CLEAR_EDGES = 6, 12
 """Most edges of a light path, without glass and with it."""

@@ -1,16 +1,16 @@
 """Renders a small picture of a near scene, then exits with 0. Run in a child, which may crash.
 
-python -m reconstruct.bench.scenes.near.trial llvm_ad_rgb
+python -m koala3d.reconstruct.bench.scenes.near.trial llvm_ad_rgb
 """
 
 import sys
 
 import numpy as np
 
-from reconstruct.bench.scenes.near.scenes import half_mirror
-from reconstruct.bench.scenes.near.views import Lit
-from reconstruct.bench.scenes.stages import spiral_poses
-from reconstruct.bench.scenes.views import camera_of
+from koala3d.reconstruct.bench.scenes.near.scenes import half_mirror
+from koala3d.reconstruct.bench.scenes.near.views import Lit
+from koala3d.reconstruct.bench.scenes.stages import spiral_poses
+from koala3d.reconstruct.bench.scenes.views import camera_of
 
 
 def main(using: str) -> int:

@@ -10,11 +10,11 @@ import threading
 import numpy as np
 import pytest
 
-from capture.robots.rtde import program
-from capture.robots.rtde.program import DONE, FIRST, READY, RUNNING_BIT, Command
-from capture.sim.controller.arm import Arm
-from capture.sim.controller.script import ControlProgram
-from datasets import pose
+from koala3d.capture.robots.rtde import program
+from koala3d.capture.robots.rtde.program import DONE, FIRST, READY, RUNNING_BIT, Command
+from koala3d.capture.sim.controller.arm import Arm
+from koala3d.capture.sim.controller.script import ControlProgram
+from koala3d.datasets import pose
 
 HOME = np.array([0, -np.pi / 2, 0, -np.pi / 2, 0, 0])
 GOAL = HOME + 0.5

@@ -8,9 +8,9 @@ from contextlib import contextmanager, suppress
 
 import pytest
 
-from capture.robots.rtde import stream, wire
-from capture.robots.rtde.stream import RegistersInUse, RtdeStream
-from capture.robots.rtde.wire import Recipe, packet
+from koala3d.capture.robots.rtde import stream, wire
+from koala3d.capture.robots.rtde.stream import RegistersInUse, RtdeStream
+from koala3d.capture.robots.rtde.wire import Recipe, packet
 from tests.moments import until
 
 OUTPUTS = ["timestamp", "actual_q", "runtime_state"]

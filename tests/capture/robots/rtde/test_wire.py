@@ -4,8 +4,8 @@ import struct
 
 import pytest
 
-from capture.robots.rtde import wire
-from capture.robots.rtde.wire import Recipe, packet, split_packets
+from koala3d.capture.robots.rtde import wire
+from koala3d.capture.robots.rtde.wire import Recipe, packet, split_packets
 
 
 def test_packets_survive_any_split():

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from capture.kinematics import UR5E, forward
-from capture.sim.controller.arm import PAUSE_S, Arm, Safety
-from capture.sim.controller.profiles import Stop
-from datasets import pose
+from koala3d.capture.kinematics import UR5E, forward
+from koala3d.capture.sim.controller.arm import PAUSE_S, Arm, Safety
+from koala3d.capture.sim.controller.profiles import Stop
+from koala3d.datasets import pose
 
 HOME = np.array([0, -np.pi / 2, 0, -np.pi / 2, 0, 0])
 GOAL = np.array([0.3, -1.2, 1.0, -1.4, -1.5, 0.2])

@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from capture.sim.controller.arm import Arm, RobotMode, Safety
-from capture.sim.controller.dashboard import reply
-from capture.sim.controller.installation import Installation
+from koala3d.capture.sim.controller.arm import Arm, RobotMode, Safety
+from koala3d.capture.sim.controller.dashboard import reply
+from koala3d.capture.sim.controller.installation import Installation
 
 
 @pytest.fixture

@@ -9,11 +9,11 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from capture.robots.rtde import program
-from capture.robots.rtde.wire import packet
-from capture.sim.controller.arm import Arm
-from capture.sim.controller.process import SimulatedController
-from capture.sim.controller.script import ACTIONS, ANSWERS, DONE, ControlProgram, refusal
+from koala3d.capture.robots.rtde import program
+from koala3d.capture.robots.rtde.wire import packet
+from koala3d.capture.sim.controller.arm import Arm
+from koala3d.capture.sim.controller.process import SimulatedController
+from koala3d.capture.sim.controller.script import ACTIONS, ANSWERS, DONE, ControlProgram, refusal
 from tests.moments import until
 
 HOME = np.array([0, -np.pi / 2, 0, -np.pi / 2, 0, 0])

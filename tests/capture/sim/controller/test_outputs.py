@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from capture.kinematics import forward
-from capture.robots.rtde import wire
-from capture.sim.controller.arm import Arm, Safety
-from capture.sim.controller.installation import Installation
-from capture.sim.controller.outputs import Outputs
-from capture.sim.controller.script import ControlProgram
-from capture.sim.controller.server import ControllerServer
+from koala3d.capture.kinematics import forward
+from koala3d.capture.robots.rtde import wire
+from koala3d.capture.sim.controller.arm import Arm, Safety
+from koala3d.capture.sim.controller.installation import Installation
+from koala3d.capture.sim.controller.outputs import Outputs
+from koala3d.capture.sim.controller.script import ControlProgram
+from koala3d.capture.sim.controller.server import ControllerServer
 
 GOAL = np.array([0.5, -1.2, 0.8, -1.5, -1.0, 0.2])
 

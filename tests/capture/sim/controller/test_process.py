@@ -13,11 +13,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from capture.errors import SimulationError
-from capture.kinematics import forward
-from capture.sim.controller import _child
-from capture.sim.controller.process import HOME, SimulatedController
-from datasets.core.errors import UsageError
+from koala3d.capture.errors import SimulationError
+from koala3d.capture.kinematics import forward
+from koala3d.capture.sim.controller import _child
+from koala3d.capture.sim.controller.process import HOME, SimulatedController
+from koala3d.datasets.core.errors import UsageError
 
 
 def _accepts(host, port):
@@ -87,7 +87,7 @@ def test_unknown_requests_name_the_known_ones():
 def test_it_dies_with_its_parent():
     code = """if True:
         import time
-        from capture.sim.controller.process import SimulatedController
+        from koala3d.capture.sim.controller.process import SimulatedController
         started = SimulatedController.start()
         print(started.host, flush=True)
         time.sleep(60)

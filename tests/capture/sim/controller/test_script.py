@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from capture.sim.controller.arm import Arm
-from capture.sim.controller.script import DONE, END, EVERY_CYCLE, READY, ControlProgram
+from koala3d.capture.sim.controller.arm import Arm
+from koala3d.capture.sim.controller.script import DONE, END, EVERY_CYCLE, READY, ControlProgram
 
 HOME = np.array([0, -np.pi / 2, 0, -np.pi / 2, 0, 0])
 

@@ -2,12 +2,12 @@ import cv2
 import numpy as np
 import pytest
 
-from capture.sim.laboratory.board import BoardPicture
-from capture.sim.laboratory.lens import Lens, Sensor
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.conventions import pixels_from_opencv
-from datasets.targets.board import Board
+from koala3d.capture.sim.laboratory.board import BoardPicture
+from koala3d.capture.sim.laboratory.lens import Lens, Sensor
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.conventions import pixels_from_opencv
+from koala3d.datasets.targets.board import Board
 
 TARGET = Board.of("charuco", 7, 5, 0.03, 0.0225)
 TABLE_FROM_BOARD = pose.from_rotation_vector([np.pi, 0, 0], [0.35, 0.08, 0.003])

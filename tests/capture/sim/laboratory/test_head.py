@@ -1,6 +1,6 @@
 import numpy as np
 
-from capture.sim.laboratory.head import head_distance, head_mesh
+from koala3d.capture.sim.laboratory.head import head_distance, head_mesh
 
 
 def test_head_is_one_closed_solid_that_stands_flat():

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from capture.sim.laboratory.lens import Lens, Sensor, strips
-from datasets.camera_model import Camera
-from datasets.imaging.region import Region
+from koala3d.capture.sim.laboratory.lens import Lens, Sensor, strips
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.imaging.region import Region
 
 LENS = Camera(60, 48, 62.0, 62.4, 31.7, 22.9, k1=-0.12, k2=0.06, p1=1e-3, p2=-8e-4, k3=-0.01)
 
@@ -67,7 +67,7 @@ def photons(radiance: float, rng: np.random.Generator, **settings: float) -> np.
 
 
 def linear(pixels: np.ndarray) -> np.ndarray:
-    from datasets.imaging.images import linear_from_srgb
+    from koala3d.datasets.imaging.images import linear_from_srgb
 
     return linear_from_srgb(pixels / 255.0)
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from capture.sim.laboratory import objects
-from capture.sim.laboratory.materials import Glass, Metal
+from koala3d.capture.sim.laboratory import objects
+from koala3d.capture.sim.laboratory.materials import Glass, Metal
 
 
 def lidar() -> dict[str, objects.Part]:

@@ -2,15 +2,15 @@ import numpy as np
 import pytest
 import trimesh
 
-from capture.sim.laboratory import renderer
-from capture.sim.laboratory.lens import Lens
-from capture.sim.laboratory.materials import Glass, Matt, Metal, Plastic
-from capture.sim.laboratory.objects import joined
-from capture.sim.laboratory.renderer import Renderer
-from capture.sim.laboratory.scenes import Item, Stage
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.core.mitsuba_variant import SURE
+from koala3d.capture.sim.laboratory import renderer
+from koala3d.capture.sim.laboratory.lens import Lens
+from koala3d.capture.sim.laboratory.materials import Glass, Matt, Metal, Plastic
+from koala3d.capture.sim.laboratory.objects import joined
+from koala3d.capture.sim.laboratory.renderer import Renderer
+from koala3d.capture.sim.laboratory.scenes import Item, Stage
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core.mitsuba_variant import SURE
 
 CAMERA = Camera(120, 100, 170.0, 171.0, 81.3, 37.2, k1=-0.11, k2=0.06, p1=8e-4, p2=-9e-4)
 PLACES = np.array([[0.40, 0.06, 0.05], [0.45, -0.07, 0.10], [0.52, 0.02, 0.14], [0.47, 0.09, 0.13]])

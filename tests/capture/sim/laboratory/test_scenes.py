@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from capture.sim.laboratory import textures
-from capture.sim.laboratory.materials import Glass, Matt, Metal
-from capture.sim.laboratory.scenes import SCENES, check_name, stage
-from datasets.core.errors import KoalaError, UsageError
+from koala3d.capture.sim.laboratory import textures
+from koala3d.capture.sim.laboratory.materials import Glass, Matt, Metal
+from koala3d.capture.sim.laboratory.scenes import SCENES, check_name, stage
+from koala3d.datasets.core.errors import KoalaError, UsageError
 
 CENTRE, SIZE = np.array([0.45, 0.02, 0.15]), np.array([0.26, 0.26, 0.30])
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from capture.sim.laboratory.solids import carved, drum, ellipsoid, joined, rod, sphere
+from koala3d.capture.sim.laboratory.solids import carved, drum, ellipsoid, joined, rod, sphere
 
 RNG = np.random.default_rng(0)
 POINTS = RNG.uniform(-3, 3, (500, 3)).astype(np.float32)

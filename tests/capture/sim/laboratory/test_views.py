@@ -1,13 +1,13 @@
 import numpy as np
 import pytest
 
-from capture.errors import SimulationError
-from capture.sim.laboratory import views
-from capture.sim.laboratory.lens import Lens
-from capture.sim.laboratory.views import BoardView, ObjectView, make_view
-from capture.trajectory import load_trajectory
-from datasets import pose
-from datasets.camera_model import Camera
+from koala3d.capture.errors import SimulationError
+from koala3d.capture.sim.laboratory import views
+from koala3d.capture.sim.laboratory.lens import Lens
+from koala3d.capture.sim.laboratory.views import BoardView, ObjectView, make_view
+from koala3d.capture.trajectory import load_trajectory
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
 
 CAMERA = Camera(48, 40, 50.0, 50.0, 24.3, 19.2, k1=-0.1)
 ABOVE = pose.look_at((0.1, -0.1, 0.4), (0.4, 0.0, 0.1))

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from datasets.core.errors import DatasetError, UsageError
-from datasets.formats import detect, load_scene, save_scene
-from datasets.scene import Scene
+from koala3d.datasets.core.errors import DatasetError, UsageError
+from koala3d.datasets.formats import detect, load_scene, save_scene
+from koala3d.datasets.scene import Scene
 
 
 @pytest.mark.parametrize(

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from datasets.core.errors import DatasetError
-from datasets.formats.finding import masks
+from koala3d.datasets.core.errors import DatasetError
+from koala3d.datasets.formats.finding import masks
 
 
 def touch(folder: Path, *names: str) -> Path:

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from datasets.core.errors import DatasetError, UsageError
-from datasets.formats.finding import pictures
+from koala3d.datasets.core.errors import DatasetError, UsageError
+from koala3d.datasets.formats.finding import pictures
 
 
 def touch(folder: Path, *names: str) -> Path:

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from datasets.core.errors import DatasetError
-from datasets.imaging import images
-from datasets.process.pictures import features, markers
+from koala3d.datasets.core.errors import DatasetError
+from koala3d.datasets.imaging import images
+from koala3d.datasets.process.pictures import features, markers
 
 DOTS = np.array([[60.5, 40.5], [140.5, 70.5], [100.5, 120.5], [30.5, 110.5], [170.5, 130.5]])
 """Centres of round dots [px], first pixel's centre at 0.5."""

@@ -10,9 +10,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from datasets.core.errors import DatasetError, KoalaError, UsageError
-from datasets.imaging import images
-from datasets.process.pictures import frames
+from koala3d.datasets.core.errors import DatasetError, KoalaError, UsageError
+from koala3d.datasets.imaging import images
+from koala3d.datasets.process.pictures import frames
 
 WIDTH, HEIGHT = 320, 240
 IDENTITY = [1 << 16, 0, 0, 0, 1 << 16, 0, 0, 0, 1 << 30]

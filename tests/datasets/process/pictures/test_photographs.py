@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from datasets.core.errors import UsageError
-from datasets.process.pictures import exif, features
-from datasets.process.pictures.photographs import cameras, find
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.process.pictures import exif, features
+from koala3d.datasets.process.pictures.photographs import cameras, find
 from tests.foreign import photographs
 
 PICTURE = photographs.corners(60, 40)

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.core.errors import UsageError
-from datasets.process.pictures import features, photographs
-from datasets.process.pictures.features import Features
-from datasets.process.poses import database, reasons
-from datasets.process.poses.database import Picture
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.process.pictures import features, photographs
+from koala3d.datasets.process.pictures.features import Features
+from koala3d.datasets.process.poses import database, reasons
+from koala3d.datasets.process.poses.database import Picture
 
 pycolmap = pytest.importorskip("pycolmap")
 

@@ -5,8 +5,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from datasets import pose
-from datasets.process.poses.mapping import LEAST_TURN, second_turn
+from koala3d.datasets import pose
+from koala3d.datasets.process.poses.mapping import LEAST_TURN, second_turn
 
 
 def test_turns_about_one_axis_have_no_second() -> None:

@@ -5,8 +5,8 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from datasets.process.pictures.features import Features
-from datasets.process.poses import pairs
+from koala3d.datasets.process.pictures.features import Features
+from koala3d.datasets.process.poses import pairs
 
 
 def pictures_of(scenes: list[int]) -> list[Features]:

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets import pose
-from datasets.core.errors import UsageError
-from datasets.injuries.studio import Studio, write
-from datasets.process.world.comparison import compared
-from datasets.process.world.similarity import Similarity
-from datasets.scene import Scene
+from koala3d.datasets import pose
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.injuries.studio import Studio, write
+from koala3d.datasets.process.world.comparison import compared
+from koala3d.datasets.process.world.similarity import Similarity
+from koala3d.datasets.scene import Scene
 
 
 @pytest.fixture

@@ -5,14 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.core.errors import DatasetError, UsageError
-from datasets.process.pictures import markers
-from datasets.process.pictures.markers import Marker
-from datasets.process.world import scale
-from datasets.process.world.similarity import Similarity, upwards
-from datasets.scene import View
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core.errors import DatasetError, UsageError
+from koala3d.datasets.process.pictures import markers
+from koala3d.datasets.process.pictures.markers import Marker
+from koala3d.datasets.process.world import scale
+from koala3d.datasets.process.world.similarity import Similarity, upwards
+from koala3d.datasets.scene import View
 
 CAMERA = Camera(1000, 800, 900, 905, 505, 395, k1=-0.03)
 WORLD_FROM_MODEL = Similarity(0.4, upwards([0.3, -0.2, 0.7]), np.array([0.2, -0.1, 0.5]))

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.process.world.similarity import Similarity, between, upwards
-from datasets.scene import View
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.process.world.similarity import Similarity, between, upwards
+from koala3d.datasets.scene import View
 
 
 @pytest.fixture

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.process.pictures.markers import Placed
-from datasets.process.world import up
-from datasets.process.world.similarity import upwards
-from datasets.scene import View
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.process.pictures.markers import Placed
+from koala3d.datasets.process.world import up
+from koala3d.datasets.process.world.similarity import upwards
+from koala3d.datasets.scene import View
 
 TILT = upwards([0.4, 0.5, 0.3]).T
 """Rotation of the whole scene; its third column is up."""

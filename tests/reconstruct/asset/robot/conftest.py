@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from datasets import pose
-from reconstruct.asset import asset as assets
-from reconstruct.asset.asset import Asset
-from reconstruct.asset.materials import Textures
-from reconstruct.asset.robot.body import Body, body
-from reconstruct.asset.robot.mass import Weight
-from reconstruct.asset.unwrap import unwrap
+from koala3d.datasets import pose
+from koala3d.reconstruct.asset import asset as assets
+from koala3d.reconstruct.asset.asset import Asset
+from koala3d.reconstruct.asset.materials import Textures
+from koala3d.reconstruct.asset.robot.body import Body, body
+from koala3d.reconstruct.asset.robot.mass import Weight
+from koala3d.reconstruct.asset.unwrap import unwrap
 
 PLACE = pose.from_rotation_vector([0, 0, 0.4], [0.4, -0.1, 0.02])
 """Where the shapes stand in the robot's base, which their frame must not depend on."""

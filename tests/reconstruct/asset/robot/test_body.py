@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from datasets import pose
-from reconstruct.asset.robot import mjcf, urdf
-from reconstruct.asset.robot.body import Body, level, standing_margin
-from reconstruct.asset.robot.mass import Weight
-from reconstruct.asset.robot.saving import name_of, save, summary
+from koala3d.datasets import pose
+from koala3d.reconstruct.asset.robot import mjcf, urdf
+from koala3d.reconstruct.asset.robot.body import Body, level, standing_margin
+from koala3d.reconstruct.asset.robot.mass import Weight
+from koala3d.reconstruct.asset.robot.saving import name_of, save, summary
 from tests.reconstruct.asset.robot.conftest import PLACE
 
 SECONDS = 2.0

@@ -9,12 +9,12 @@ import jax
 import numpy as np
 import pytest
 
-from reconstruct import checkpoint
-from reconstruct.cli import main
-from reconstruct.config import Config
-from reconstruct.models import load_config
-from reconstruct.run import CHECKPOINTS, Run
-from reconstruct.training.step import Step
+from koala3d.reconstruct import checkpoint
+from koala3d.reconstruct.cli import main
+from koala3d.reconstruct.config import Config
+from koala3d.reconstruct.models import load_config
+from koala3d.reconstruct.run import CHECKPOINTS, Run
+from koala3d.reconstruct.training.step import Step
 
 BLOCK = np.array([0.5, 0.4, 0.6])
 """Half the sides of the block that is solid, in halves of the object's box, 0.2 m wide."""
@@ -41,7 +41,7 @@ def run(make_run: Callable[..., Run], config: Config) -> Path:
 @pytest.fixture
 def command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str]]:
     """Run the command inside this process; returns exit code, output and errors."""
-    monkeypatch.setattr("reconstruct.backend.cache_compilations", lambda: None)
+    monkeypatch.setattr("koala3d.reconstruct.backend.cache_compilations", lambda: None)
 
     def call(*words: object) -> tuple[int, str, str]:
         monkeypatch.setattr(sys, "argv", ["reconstruct", "asset", *map(str, words)])

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from datasets.core.errors import UsageError
-from reconstruct.asset.robot.mass import Weight, inertia, union_moments
+from koala3d.datasets.core.errors import UsageError
+from koala3d.reconstruct.asset.robot.mass import Weight, inertia, union_moments
 
 
 def of_box(mass: float, sides: tuple[float, float, float]) -> np.ndarray:

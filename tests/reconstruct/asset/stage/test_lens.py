@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from datasets.camera_model import Camera
-from reconstruct.asset.stage import lens
+from koala3d.datasets.camera_model import Camera
+from koala3d.reconstruct.asset.stage import lens
 
 
 def shown(directions: np.ndarray) -> np.ndarray:

@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 import trimesh
 
-from datasets.core import files
-from datasets.core.errors import DatasetError
-from datasets.core.mitsuba_variant import SURE
-from datasets.imaging import images
-from reconstruct.asset import asset as assets
-from reconstruct.asset.asset import Asset
-from reconstruct.asset.light import Light
-from reconstruct.asset.stage import reading
-from reconstruct.asset.writing import environment, glb
-from reconstruct.bench.asset import proof
-from reconstruct.output.evaluate import FORMAT, METRICS, VERSION
-from reconstruct.output.trained_model import TrainedModel
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import DatasetError
+from koala3d.datasets.core.mitsuba_variant import SURE
+from koala3d.datasets.imaging import images
+from koala3d.reconstruct.asset import asset as assets
+from koala3d.reconstruct.asset.asset import Asset
+from koala3d.reconstruct.asset.light import Light
+from koala3d.reconstruct.asset.stage import reading
+from koala3d.reconstruct.asset.writing import environment, glb
+from koala3d.reconstruct.bench.asset import proof
+from koala3d.reconstruct.output.evaluate import FORMAT, METRICS, VERSION
+from koala3d.reconstruct.output.trained_model import TrainedModel
 from tests.reconstruct.conftest import CENTRE, RADIUS
 
 _made: list[tuple[Asset, Light]] = []

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 from trimesh.creation import icosphere
 
-from datasets import pose
-from datasets.core.errors import UsageError
-from datasets.core.mitsuba_variant import SURE
-from reconstruct.asset import asset as assets
-from reconstruct.asset.stage import trial
-from reconstruct.asset.stage.reading import StoredAsset
-from reconstruct.bench.asset import relighting
-from reconstruct.bench.scenes.light import Light
-from reconstruct.bench.scenes.shiny import RADIUS_M, chrome_ball
-from reconstruct.bench.scenes.views import Traced
-from reconstruct.output.trained_model import TrainedModel
+from koala3d.datasets import pose
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.core.mitsuba_variant import SURE
+from koala3d.reconstruct.asset import asset as assets
+from koala3d.reconstruct.asset.stage import trial
+from koala3d.reconstruct.asset.stage.reading import StoredAsset
+from koala3d.reconstruct.bench.asset import relighting
+from koala3d.reconstruct.bench.scenes.light import Light
+from koala3d.reconstruct.bench.scenes.shiny import RADIUS_M, chrome_ball
+from koala3d.reconstruct.bench.scenes.views import Traced
+from koala3d.reconstruct.output.trained_model import TrainedModel
 
 
 def chrome() -> StoredAsset:

@@ -6,9 +6,9 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 
-from reconstruct.bench.cost.instructions import KERNELS, SAMPLES, STAGES, Part, module_of, part_of, parts_of
-from reconstruct.bench.cost.profile import durations_us
-from reconstruct.field.mlp import Mlp
+from koala3d.reconstruct.bench.cost.instructions import KERNELS, SAMPLES, STAGES, Part, module_of, part_of, parts_of
+from koala3d.reconstruct.bench.cost.profile import durations_us
+from koala3d.reconstruct.field.mlp import Mlp
 
 
 def test_parts_by_calls() -> None:
@@ -26,7 +26,7 @@ def test_parts_by_calls() -> None:
 
 
 def test_stages_and_kernels_name_existing_code() -> None:
-    root = Path(str(find_spec("reconstruct.config").origin)).parent
+    root = Path(str(find_spec("koala3d.reconstruct.config").origin)).parent
     paths = [path for path in root.rglob("*.py") if "bench" not in path.parts]
     code = "\n".join(path.read_text() for path in paths)
     assert not [function for function in STAGES if f"def {function}(" not in code]

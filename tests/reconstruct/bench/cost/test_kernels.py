@@ -2,8 +2,8 @@
 
 import pytest
 
-from reconstruct.bench.cost.kernels import Bench, corners
-from reconstruct.models import load_config
+from koala3d.reconstruct.bench.cost.kernels import Bench, corners
+from koala3d.reconstruct.models import load_config
 
 SMALL = ["sampler.samples=1024", "sampler.rays=256", "encoding.log2_size=8", "encoding.levels=2", "sampler.grid=32",
          "surface.rays=8", "surface.samples=8"]  # fmt: skip

@@ -4,10 +4,10 @@ import re
 
 import pytest
 
-from reconstruct.bench import context
-from reconstruct.bench.cost import kernels, machine
-from reconstruct.bench.cost.kernels import Kernel
-from reconstruct.bench.cost.machine import Limit
+from koala3d.reconstruct.bench import context
+from koala3d.reconstruct.bench.cost import kernels, machine
+from koala3d.reconstruct.bench.cost.kernels import Kernel
+from koala3d.reconstruct.bench.cost.machine import Limit
 
 LIMITS = [Limit("matrix", 1e11, "1/s", ""), Limit("exponential", 1e9, "1/s", ""), Limit("stream", 1e10, "B/s", ""),
           Limit("gather, in the cache", 1e9, "1/s", ""), Limit("scatter, in the cache", 5e8, "1/s", "")]  # fmt: skip

@@ -11,12 +11,12 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from datasets.core.errors import UsageError
-from reconstruct.bench import runner
-from reconstruct.bench.gpu import run
-from reconstruct.bench.gpu.plan import LARGE, LEGO, SECONDS, Sizes, trials
-from reconstruct.bench.scenes import make
-from reconstruct.cli import app
+from koala3d.datasets.core.errors import UsageError
+from koala3d.reconstruct.bench import runner
+from koala3d.reconstruct.bench.gpu import run
+from koala3d.reconstruct.bench.gpu.plan import LARGE, LEGO, SECONDS, Sizes, trials
+from koala3d.reconstruct.bench.scenes import make
+from koala3d.reconstruct.cli import app
 
 CPU = {"platform": "cpu", "devices": 1, "text": "cpu: compiled kernels"}
 TWO = {"platform": "gpu", "devices": 2, "text": "2 x a card"}
@@ -67,7 +67,7 @@ def test_the_command_on_a_processor(tmp_path: Path) -> None:
         {"XLA_FLAGS": "--xla_backend_optimization_level=0", "KOALA_CACHE": str(tmp_path / "cache")},
     )
     words = ["bench", "gpu", "--seconds", "0.5", "--out", str(out), "--data", str(tmp_path / "data"), "--json"]
-    command = [sys.executable, "-c", "from reconstruct.cli import main; main()", *words]
+    command = [sys.executable, "-c", "from koala3d.reconstruct.cli import main; main()", *words]
     for _ in range(2):
         done = subprocess.run(command, env=os.environ | environment, capture_output=True, text=True, check=True)
         found = json.loads(done.stdout.strip().splitlines()[-1])

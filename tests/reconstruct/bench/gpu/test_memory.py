@@ -2,9 +2,9 @@
 
 import pytest
 
-from reconstruct.bench.gpu import memory
-from reconstruct.bench.gpu.plan import SMALL
-from reconstruct.models import load_config
+from koala3d.reconstruct.bench.gpu import memory
+from koala3d.reconstruct.bench.gpu.plan import SMALL
+from koala3d.reconstruct.models import load_config
 
 
 def test_batches_share_out_the_rays() -> None:

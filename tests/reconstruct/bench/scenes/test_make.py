@@ -7,17 +7,17 @@ import pytest
 import trimesh
 from trimesh.sample import sample_surface
 
-from datasets.checks.check import check
-from datasets.core.errors import UsageError
-from datasets.formats import load_scene
-from datasets.imaging import images
-from datasets.scene import Scene
-from reconstruct.bench.scenes import make, shiny
-from reconstruct.bench.scenes.make import provide, write, write_mesh
-from reconstruct.bench.scenes.stages import spiral_poses
-from reconstruct.bench.scenes.views import Traced, camera_of
-from reconstruct.output import metrics
-from reconstruct.output.mesh.surface_distance import Surface
+from koala3d.datasets.checks.check import check
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.formats import load_scene
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import Scene
+from koala3d.reconstruct.bench.scenes import make, shiny
+from koala3d.reconstruct.bench.scenes.make import provide, write, write_mesh
+from koala3d.reconstruct.bench.scenes.stages import spiral_poses
+from koala3d.reconstruct.bench.scenes.views import Traced, camera_of
+from koala3d.reconstruct.output import metrics
+from koala3d.reconstruct.output.mesh.surface_distance import Surface
 
 
 @pytest.fixture(scope="module")

@@ -5,13 +5,13 @@ from functools import cache
 import numpy as np
 import pytest
 
-from datasets.core.mitsuba_variant import SURE
-from reconstruct.bench.scenes.near.materials import Coated, Glass, Matte, Metal, Partly
-from reconstruct.bench.scenes.near.scenes import LAMP_DISTANCE, LAMP_RADIUS, NEAR
-from reconstruct.bench.scenes.near.views import Lit
-from reconstruct.bench.scenes.shiny import RADIUS_M
-from reconstruct.bench.scenes.stages import BENCHMARK, STAGES, spiral_poses
-from reconstruct.bench.scenes.views import DISTANCE_M, Maps, camera_of
+from koala3d.datasets.core.mitsuba_variant import SURE
+from koala3d.reconstruct.bench.scenes.near.materials import Coated, Glass, Matte, Metal, Partly
+from koala3d.reconstruct.bench.scenes.near.scenes import LAMP_DISTANCE, LAMP_RADIUS, NEAR
+from koala3d.reconstruct.bench.scenes.near.views import Lit
+from koala3d.reconstruct.bench.scenes.shiny import RADIUS_M
+from koala3d.reconstruct.bench.scenes.stages import BENCHMARK, STAGES, spiral_poses
+from koala3d.reconstruct.bench.scenes.views import DISTANCE_M, Maps, camera_of
 
 SIZE, CELLS = 20, 40
 POSES = spiral_poses(6, 0)
@@ -51,7 +51,7 @@ def test_parts_of_a_mixed_material_add_up_to_the_whole() -> None:
     """The egg rendered with both kinds of light at once. Noise of 144 paths per pixel, of lamps that few paths meet, is 3 %."""
     import mitsuba as mi
 
-    from reconstruct.bench.scenes.near import renderer
+    from koala3d.reconstruct.bench.scenes.near import renderer
 
     maps, scene = looked("lacquered_egg"), NEAR["lacquered_egg"]()
     mesh = renderer.Mesh(*renderer_mesh(scene))
@@ -66,7 +66,7 @@ def test_parts_of_a_mixed_material_add_up_to_the_whole() -> None:
 
 
 def renderer_mesh(scene):
-    from reconstruct.bench.scenes.surfaces import surface_of
+    from koala3d.reconstruct.bench.scenes.surfaces import surface_of
 
     return surface_of(scene.shape(), CELLS)
 

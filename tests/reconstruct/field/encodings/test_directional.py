@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import sph_harm_y
 
-from reconstruct.field.encodings.directional import ide_channels, integrated_directional_encoding
+from koala3d.reconstruct.field.encodings.directional import ide_channels, integrated_directional_encoding
 
 DEGREE, COUNT = 5, 300
 ENCODE = jax.jit(integrated_directional_encoding, static_argnums=2)

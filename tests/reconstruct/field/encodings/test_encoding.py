@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.config import EncodingConfig
-from reconstruct.field.encodings.create import create_encoding
-from reconstruct.field.encodings.encoding import Encoding, blurred
+from koala3d.reconstruct.config import EncodingConfig
+from koala3d.reconstruct.field.encodings.create import create_encoding
+from koala3d.reconstruct.field.encodings.encoding import Encoding, blurred
 from tests import drawn
 
 KINDS = ("lattice", "voxels", "frequencies")

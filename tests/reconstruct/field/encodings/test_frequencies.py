@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.field.encodings.frequencies import Frequencies
+from koala3d.reconstruct.field.encodings.frequencies import Frequencies
 from tests import drawn
 
 EVALUATE = jax.jit(lambda encoding, points, scale=None: encoding.value_and_jacobian(points, scale))

@@ -9,11 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.field.encodings import grid as grids
-from reconstruct.field.encodings.grid import HashedGrid
-from reconstruct.field.encodings.lattice import PermutohedralLattice
-from reconstruct.field.encodings.voxels import VoxelGrid
-from reconstruct.kernels import native
+from koala3d.reconstruct.field.encodings import grid as grids
+from koala3d.reconstruct.field.encodings.grid import HashedGrid
+from koala3d.reconstruct.field.encodings.lattice import PermutohedralLattice
+from koala3d.reconstruct.field.encodings.voxels import VoxelGrid
+from koala3d.reconstruct.kernels import native
 from tests import drawn
 
 POINTS = np.float32(np.random.default_rng(0).uniform(-1.2, 1.2, (3, 300)))

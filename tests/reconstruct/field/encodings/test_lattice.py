@@ -4,10 +4,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.field.encodings import simplex, tables
-from reconstruct.field.encodings.lattice import PermutohedralLattice, ball_share
-from reconstruct.numerics import lattice_constants
-from reconstruct.numerics.compiling import barrier
+from koala3d.reconstruct.field.encodings import simplex, tables
+from koala3d.reconstruct.field.encodings.lattice import PermutohedralLattice, ball_share
+from koala3d.reconstruct.numerics import lattice_constants
+from koala3d.reconstruct.numerics.compiling import barrier
 from tests import drawn
 
 EVALUATE = jax.jit(lambda grid, points, scale=None: grid.value_and_jacobian(points, scale))

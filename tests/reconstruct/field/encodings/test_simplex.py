@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from reconstruct.field.encodings import simplex
-from reconstruct.numerics.compiling import barrier
+from koala3d.reconstruct.field.encodings import simplex
+from koala3d.reconstruct.numerics.compiling import barrier
 
 SCALE = 3.7
 

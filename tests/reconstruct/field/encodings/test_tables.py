@@ -2,9 +2,9 @@ import jax
 import numpy as np
 import pytest
 
-from reconstruct.field.encodings.lattice import PermutohedralLattice
-from reconstruct.field.encodings.tables import HEADROOM, fitting_sizes, mean_squares, row_of, starts
-from reconstruct.field.encodings.voxels import VoxelGrid
+from koala3d.reconstruct.field.encodings.lattice import PermutohedralLattice
+from koala3d.reconstruct.field.encodings.tables import HEADROOM, fitting_sizes, mean_squares, row_of, starts
+from koala3d.reconstruct.field.encodings.voxels import VoxelGrid
 from tests import drawn
 
 RESOLUTIONS = (4.0, 8.0, 64.0)

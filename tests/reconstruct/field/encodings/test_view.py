@@ -2,7 +2,7 @@ import jax
 import numpy as np
 import pytest
 
-from reconstruct.field.encodings.directional import view_channels, view_encoding
+from koala3d.reconstruct.field.encodings.directional import view_channels, view_encoding
 
 
 @pytest.mark.parametrize("degree", [0, 1, 4])

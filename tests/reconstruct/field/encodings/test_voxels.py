@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from reconstruct.field.encodings import tables
-from reconstruct.field.encodings.voxels import VoxelGrid, cube_share
-from reconstruct.numerics import lattice_constants
+from koala3d.reconstruct.field.encodings import tables
+from koala3d.reconstruct.field.encodings.voxels import VoxelGrid, cube_share
+from koala3d.reconstruct.numerics import lattice_constants
 from tests import drawn
 
 EVALUATE = jax.jit(lambda grid, points, scale=None: grid.value_and_jacobian(points, scale))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from reconstruct.output.mesh.closing import is_closed, mended
+from koala3d.reconstruct.output.mesh.closing import is_closed, mended
 
 
 def pinched() -> trimesh.Trimesh:

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from reconstruct.errors import ReconstructError
-from reconstruct.output.mesh import extraction, field_samples, files
-from reconstruct.output.trained_model import TrainedModel
-from reconstruct.run import Run
+from koala3d.reconstruct.errors import ReconstructError
+from koala3d.reconstruct.output.mesh import extraction, field_samples, files
+from koala3d.reconstruct.output.trained_model import TrainedModel
+from koala3d.reconstruct.run import Run
 
 CENTRE, RADIUS = np.array([0.4, 0.0, 0.15]), 0.08
 DENSITY, WIDTH = 2000.0, 0.002

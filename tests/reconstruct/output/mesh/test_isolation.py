@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from reconstruct.output.mesh.isolation import SIDES, fill_interior, isolate_object
+from koala3d.reconstruct.output.mesh.isolation import SIDES, fill_interior, isolate_object
 
 SIZE = 60
 X, Y, Z = np.meshgrid(*3 * [np.arange(SIZE)], indexing="ij")

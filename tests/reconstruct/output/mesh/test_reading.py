@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from datasets.core.errors import DatasetError, UsageError
-from reconstruct.output.mesh import reading
+from koala3d.datasets.core.errors import DatasetError, UsageError
+from koala3d.reconstruct.output.mesh import reading
 from tests.foreign import meshes
 
 

@@ -3,9 +3,9 @@ import pytest
 import trimesh
 from skimage.measure import marching_cubes
 
-from reconstruct.errors import ReconstructError
-from reconstruct.output.mesh import refinement
-from reconstruct.output.mesh.refinement import follow_normals
+from koala3d.reconstruct.errors import ReconstructError
+from koala3d.reconstruct.output.mesh import refinement
+from koala3d.reconstruct.output.mesh.refinement import follow_normals
 
 OVER = 0.05
 

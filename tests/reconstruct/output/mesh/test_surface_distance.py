@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.scene import View
-from reconstruct.output.mesh import surface_distance
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.scene import View
+from koala3d.reconstruct.output.mesh import surface_distance
 
 CAMERA = Camera(100, 100, 90.0, 90.0, 50.0, 50.0)
 BOX = np.array([[-0.2, -0.2, -0.2], [0.2, 0.2, 0.2]])

@@ -8,16 +8,16 @@ import jax
 import numpy as np
 import pytest
 
-from datasets.core.errors import UsageError
-from datasets.scene import Scene
-from reconstruct import checkpoint
-from reconstruct.config import Config
-from reconstruct.errors import ReconstructError
-from reconstruct.models import changed, merged_config
-from reconstruct.run import CHECKPOINTS, Run
-from reconstruct.training.beginning.series import WEIGHTS, require_model
-from reconstruct.training.beginning.starting import resumed, start
-from reconstruct.training.step import Step
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.scene import Scene
+from koala3d.reconstruct import checkpoint
+from koala3d.reconstruct.config import Config
+from koala3d.reconstruct.errors import ReconstructError
+from koala3d.reconstruct.models import changed, merged_config
+from koala3d.reconstruct.run import CHECKPOINTS, Run
+from koala3d.reconstruct.training.beginning.series import WEIGHTS, require_model
+from koala3d.reconstruct.training.beginning.starting import resumed, start
+from koala3d.reconstruct.training.step import Step
 
 
 @pytest.fixture

@@ -9,19 +9,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from datasets.core.errors import KoalaError
-from datasets.scene import Scene
-from reconstruct import checkpoint
-from reconstruct.config import Config
-from reconstruct.models import merged_config
-from reconstruct.run import CHECKPOINTS, Run
-from reconstruct.training import training
-from reconstruct.training.faults import FAULTS
-from reconstruct.training.loop import train
-from reconstruct.training.pace import budget
-from reconstruct.training.pace.budget import Plan
-from reconstruct.training.pace.clock import Clock, Leg
-from reconstruct.training.training import Training
+from koala3d.datasets.core.errors import KoalaError
+from koala3d.datasets.scene import Scene
+from koala3d.reconstruct import checkpoint
+from koala3d.reconstruct.config import Config
+from koala3d.reconstruct.models import merged_config
+from koala3d.reconstruct.run import CHECKPOINTS, Run
+from koala3d.reconstruct.training import training
+from koala3d.reconstruct.training.faults import FAULTS
+from koala3d.reconstruct.training.loop import train
+from koala3d.reconstruct.training.pace import budget
+from koala3d.reconstruct.training.pace.budget import Plan
+from koala3d.reconstruct.training.pace.clock import Clock, Leg
+from koala3d.reconstruct.training.training import Training
 
 PLAIN_S, SECOND_S = 0.04, 0.12
 

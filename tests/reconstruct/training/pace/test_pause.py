@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from reconstruct.training.pace import pause
-from reconstruct.training.pace.pause import AGAIN_S, HOLD_S, MOVING, NAP_S, PauseRequests, give_way, wanted_share
+from koala3d.reconstruct.training.pace import pause
+from koala3d.reconstruct.training.pace.pause import AGAIN_S, HOLD_S, MOVING, NAP_S, PauseRequests, give_way, wanted_share
 from tests.moments import Clock
 
 

@@ -1,7 +1,7 @@
 import jax.numpy as jnp
 import numpy as np
 
-from reconstruct.training.pace.schedules import RISE, late, learning_rate
+from koala3d.reconstruct.training.pace.schedules import RISE, late, learning_rate
 
 
 def test_the_rate_is_log_linear_after_warm_up() -> None:

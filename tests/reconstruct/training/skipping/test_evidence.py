@@ -3,11 +3,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from datasets.core.console import progress
-from datasets.scene import Scene
-from reconstruct.sampling.hull import cells_in_masks
-from reconstruct.scene.rays import Normalisation, Pixels
-from reconstruct.training.skipping.evidence import evidence_of, footprints
+from koala3d.datasets.core.console import progress
+from koala3d.datasets.scene import Scene
+from koala3d.reconstruct.sampling.hull import cells_in_masks
+from koala3d.reconstruct.scene.rays import Normalisation, Pixels
+from koala3d.reconstruct.training.skipping.evidence import evidence_of, footprints
 
 
 def look(scene: Scene, possible: Callable | None = None):

@@ -3,9 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from datasets.scene import Scene
-from datasets.structure.exposure import ExposureGains
-from reconstruct.training.skipping.gains import Differences
+from koala3d.datasets.scene import Scene
+from koala3d.datasets.structure.exposure import ExposureGains
+from koala3d.reconstruct.training.skipping.gains import Differences
 
 
 def differing(log: list[float], std: float = 0.01) -> Differences:

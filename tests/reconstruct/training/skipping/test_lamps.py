@@ -9,24 +9,24 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.core.errors import UsageError
-from datasets.formats import koala
-from datasets.imaging import images
-from datasets.scene import Scene, View
-from reconstruct.config import Config
-from reconstruct.field.appearance import Reflection
-from reconstruct.models import merged_config
-from reconstruct.output.trained_model import TrainedModel
-from reconstruct.run import Run
-from reconstruct.sampling.create import sampler_type
-from reconstruct.scene.light import STILL, LightFrame
-from reconstruct.scene.rays import Normalisation, Pixels
-from reconstruct.training.loop import train
-from reconstruct.training.preparation import prepare
-from reconstruct.training.skipping.explained import monomials
-from reconstruct.training.skipping.lamps import decided_light
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.formats import koala
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import Scene, View
+from koala3d.reconstruct.config import Config
+from koala3d.reconstruct.field.appearance import Reflection
+from koala3d.reconstruct.models import merged_config
+from koala3d.reconstruct.output.trained_model import TrainedModel
+from koala3d.reconstruct.run import Run
+from koala3d.reconstruct.sampling.create import sampler_type
+from koala3d.reconstruct.scene.light import STILL, LightFrame
+from koala3d.reconstruct.scene.rays import Normalisation, Pixels
+from koala3d.reconstruct.training.loop import train
+from koala3d.reconstruct.training.preparation import prepare
+from koala3d.reconstruct.training.skipping.explained import monomials
+from koala3d.reconstruct.training.skipping.lamps import decided_light
 
 CAMERA = Camera(24, 24, 60.0, 60.0, 12.0, 12.0)
 LAMP = np.array([0.48, 0.6, 0.64])

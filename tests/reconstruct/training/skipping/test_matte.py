@@ -3,11 +3,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.scene import Scene
-from reconstruct.models import load_config
-from reconstruct.training.skipping.matched import matches_of
-from reconstruct.training.skipping.matte import matte_share
-from reconstruct.training.skipping.plan import MOSTLY
+from koala3d.datasets.scene import Scene
+from koala3d.reconstruct.models import load_config
+from koala3d.reconstruct.training.skipping.matched import matches_of
+from koala3d.reconstruct.training.skipping.matte import matte_share
+from koala3d.reconstruct.training.skipping.plan import MOSTLY
 from tests.reconstruct.training.skipping.textured import textured_wall
 
 WHOLE_WALL = np.array([[-2.0] * 3, [2.0] * 3])

@@ -4,16 +4,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from datasets.camera_model import Camera
-from datasets.scene import Scene
-from datasets.structure.exposure import ExposureGains
-from reconstruct.config import Config
-from reconstruct.models import load_config
-from reconstruct.scene.rays import Normalisation, view_rays
-from reconstruct.training.skipping.evidence import Evidence
-from reconstruct.training.skipping.gains import Differences
-from reconstruct.training.skipping.plan import lenses, normalisation_of, plan
-from reconstruct.training.skipping.record import NAMES, Skip
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.scene import Scene
+from koala3d.datasets.structure.exposure import ExposureGains
+from koala3d.reconstruct.config import Config
+from koala3d.reconstruct.models import load_config
+from koala3d.reconstruct.scene.rays import Normalisation, view_rays
+from koala3d.reconstruct.training.skipping.evidence import Evidence
+from koala3d.reconstruct.training.skipping.gains import Differences
+from koala3d.reconstruct.training.skipping.plan import lenses, normalisation_of, plan
+from koala3d.reconstruct.training.skipping.record import NAMES, Skip
 
 FOUND = Evidence(
     bounded=True, views=8, transparent=0.7, smallest=0.01, largest=0.012, possible=0.1, bent=0, frustum=None, poses="koala-scene"

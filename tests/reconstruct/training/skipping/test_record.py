@@ -2,12 +2,12 @@ from pathlib import Path
 
 import pytest
 
-from datasets.core import files
-from datasets.core.errors import UsageError
-from reconstruct.config import SkipConfig
-from reconstruct.models import load_config
-from reconstruct.training.skipping import outcome, record
-from reconstruct.training.skipping.record import Skip
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import UsageError
+from koala3d.reconstruct.config import SkipConfig
+from koala3d.reconstruct.models import load_config
+from koala3d.reconstruct.training.skipping import outcome, record
+from koala3d.reconstruct.training.skipping.record import Skip
 
 SKIPS = [
     Skip.of("empty_rays", True, "masks", "much"),

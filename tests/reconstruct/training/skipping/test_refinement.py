@@ -5,14 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets import pose
-from datasets.scene import Scene
-from reconstruct.config import Config
-from reconstruct.models import load_config
-from reconstruct.scene.rays import Normalisation
-from reconstruct.training.skipping.matched import matches_of
-from reconstruct.training.skipping.record import Skip
-from reconstruct.training.skipping.refinement import with_poses
+from koala3d.datasets import pose
+from koala3d.datasets.scene import Scene
+from koala3d.reconstruct.config import Config
+from koala3d.reconstruct.models import load_config
+from koala3d.reconstruct.scene.rays import Normalisation
+from koala3d.reconstruct.training.skipping.matched import matches_of
+from koala3d.reconstruct.training.skipping.record import Skip
+from koala3d.reconstruct.training.skipping.refinement import with_poses
 from tests.reconstruct.training.skipping.textured import textured_wall
 
 

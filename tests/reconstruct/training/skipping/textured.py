@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from datasets import pose
-from datasets.camera_model import Camera
-from datasets.imaging import images
-from datasets.scene import Scene, View
+from koala3d.datasets import pose
+from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import Scene, View
 
 CAMERA = Camera(160, 120, 170.0, 170.0, 80.0, 60.0)
 
