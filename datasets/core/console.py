@@ -19,6 +19,11 @@ import typer
 
 from koala3d.datasets.core.errors import KoalaError
 from koala3d.datasets.core.extras import not_installed
+from koala3d.datasets.core.help import CHECK as CHECK
+from koala3d.datasets.core.help import LOOK as LOOK
+from koala3d.datasets.core.help import MAIN as MAIN
+from koala3d.datasets.core.help import STUDY as STUDY
+from koala3d.datasets.core.help import WIDE, App, Group
 from koala3d.datasets.core.options import Json as Json
 from koala3d.datasets.core.options import Port as Port
 
@@ -28,11 +33,12 @@ _ClickException: Any = next(c for c in typer.BadParameter.__mro__ if c.__name__ 
 _state = {"debug": False, "json": False}
 
 
-def make_app(name: str, help: str) -> typer.Typer:
-    """A command with Koala's conventions; add subcommands with `@app.command()`, run with `run(app)`."""
-    settings = {"help_option_names": ["-h", "--help"]}
-    app = typer.Typer(
+def make_app(name: str, help: str) -> App:
+    """A command with Koala's conventions; add subcommands with `@app.command(panel=MAIN)`, run with `run(app)`."""
+    settings = {"help_option_names": ["-h", "--help"], "max_content_width": WIDE}
+    app = App(
         name=name,
+        cls=Group,
         help=help,
         no_args_is_help=True,
         pretty_exceptions_enable=False,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from koala3d.datasets.core import console, options
+from koala3d.datasets.core.help import App
 from koala3d.datasets.core.options import DataRoot, Json, OutFolder
 
 if TYPE_CHECKING:
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 Edit = Callable[["Scene", Path, Callable[[], None]], "Scene"]
 
 
-def add_to(app: typer.Typer) -> None:
+def add_to(app: App) -> None:
     """Register the commands."""
     for command in (subset, split, merge, downscale, undistort, crop):
         app.command()(command)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from koala3d.datasets.core import console, options
+from koala3d.datasets.core.help import App
 from koala3d.datasets.core.options import DataRoot, Json, OutFolder
 
 if TYPE_CHECKING:
@@ -32,7 +33,7 @@ Up = Annotated[
 ]
 
 
-def add_to(app: typer.Typer) -> None:
+def add_to(app: App) -> None:
     """Register the commands."""
     for command in (process, align, compare):
         app.command()(command)

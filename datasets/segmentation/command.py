@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from koala3d.datasets.core import console, options
+from koala3d.datasets.core.help import App
 from koala3d.datasets.core.options import DataRoot, Json, OutFolder, Port
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ Mesh = Annotated[
 InPage = Annotated[bool, typer.Option("--page", help="Show the masks in the browser and correct them with a brush.")]
 
 
-def add_to(app: typer.Typer) -> None:
+def add_to(app: App) -> None:
     """Register the command."""
     app.command()(mask)
 
