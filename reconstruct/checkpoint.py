@@ -24,7 +24,7 @@ KEPT = 2
 CHECKSUMS = "checksums.json"
 SCENE_SIZED = (".visits", ".per_image", ".poses")
 """Ends of the paths of leaves whose length is the scene's, not the configuration's: taken as they were stored."""
-MODEL, MOMENTS = ".model", (".optimiser.mu", ".optimiser.nu")
+MODEL = ".model"
 Tree = TypeVar("Tree")
 
 
@@ -80,8 +80,7 @@ def load(folder: Path, like: Tree) -> tuple[Tree, dict[str, float]]:
         ReconstructError: there is none, or it was made with another configuration.
     """
     path, content = _newest(folder)
-    stored = _by_name(content["state"], [name.removeprefix(MODEL) for name in _names(like) if name.startswith(MODEL)])
-    return _filled(path, like, stored, ""), {name: float(value) for name, value in content["clock"].items()}
+    return _filled(path, like, content["state"], ""), {name: float(value) for name, value in content["clock"].items()}
 
 
 def load_model(folder: Path, like: Tree, *, other_scene: bool = False) -> tuple[Tree, int]:
@@ -91,7 +90,7 @@ def load_model(folder: Path, like: Tree, *, other_scene: bool = False) -> tuple[
         other_scene: leaves whose length is the scene's stay those of `like`.
     """
     path, content = _newest(folder)
-    return _filled(path, like, _by_name(content["state"], _names(like)), MODEL, other_scene), int(path.name)
+    return _filled(path, like, content["state"], MODEL, other_scene), int(path.name)
 
 
 def _newest(folder: Path) -> tuple[Path, dict[str, Any]]:
@@ -166,26 +165,6 @@ def _filled(path: Path, like: Tree, stored: dict[str, Any], prefix: str, other_s
 
 def _size(array: Any) -> str:
     return "missing" if array is None else "x".join(map(str, np.shape(array))) or "a number"
-
-
-def _by_name(stored: dict[str, Any], model: list[str]) -> dict[str, Any]:
-    """Stored arrays by their paths in a state.
-
-    The first checkpoints numbered them: the model without its grid, the count of steps, both moments (also of the blur), the
-    grid, step, skipped.
-
-    Args:
-        model: paths of a model's leaves.
-    """
-    if "0000" not in stored:
-        return stored
-    learned = [name for name in model if ".grid." not in name]
-    grid = [name for name in model if ".grid." in name]
-    names = [MODEL + name for name in learned] + [".optimiser.count"]
-    names += [moments + name for moments in MOMENTS for name in learned]
-    names += [MODEL + name for name in grid] + [".step", ".skipped"]
-    arrays = [stored[key] for key in sorted(stored)]
-    return dict(zip(names, arrays, strict=True)) if len(names) == len(arrays) else {}
 
 
 def _checkpointer():

@@ -4,7 +4,7 @@ Which model has which values is in `models`; the resolved configuration is writt
 """
 
 import math
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -29,9 +29,6 @@ class EncodingConfig(Schema):
         8.0, "Vertices per unit of the normalised scene at the coarsest level; radians per unit for frequencies.", gt=0
     )
     finest: float = setting(256.0, "The same at the finest level.", gt=0)
-    volume: float | None = setting(
-        None, "Volume that can hold anything [scene unit^3], for tables that are no larger than needed; none: full tables.", gt=0
-    )
 
 
 class FieldConfig(Schema):
@@ -48,32 +45,16 @@ class FieldConfig(Schema):
     view_depth: int = setting(2, "Number of view layers.", ge=1)
     view_skip: int = setting(0, "The same of the view network.", ge=0)
     ide_degree: int = setting(4, "Harmonics up to l = 2^(degree - 1) encode the reflected direction.", ge=1, le=6)
-    view_degree: int = setting(4, "Octaves of sines that encode the view direction, where it is not reflected.", ge=0, le=10)
     shading: Literal["sample", "deferred"] = setting(
         "deferred", "Evaluate the view network at each sample, or once per ray on composited features."
     )
     diffuse_bias: float = setting(-math.log(3), "Added to the raw diffuse colour before the sigmoid.")
     specular_bias: float = setting(0.0, "Added to the raw reflected colour before the sigmoid.")
     roughness_bias: float = setting(-1.0, "Added to the raw roughness before the softplus.")
-    surroundings_roughness_bias: float = setting(
-        0.0, "Added to the roughness bias where there are surroundings, among which a blurred start may stay blurred."
-    )
     outward: float = setting(
         0.0, "Predicted normals start as those of a ball about the object: weight of the position in them.", ge=0
     )
-    towards: tuple[float, float, float] | None = setting(
-        None, "Added to that position; none: the measured mean direction to the cameras, so that what they see faces them."
-    )
-    matte_around: float = setting(
-        0.0, "Around the object's box, added to the raw diffuse colour and subtracted from the raw tint at the start.", ge=0
-    )
-    half_box: tuple[float, float, float] | None = setting(
-        None, "Half the size of that box [scene unit]; none: as measured, where there are surroundings."
-    )
     density_bias: float = setting(0.5, "Added to the raw density before the exponential.")
-    surroundings_bias: float = setting(
-        0.0, "Added to the density bias where there are surroundings: rays are longer, and the first fog must stay thin."
-    )
 
 
 class SamplerConfig(Schema):
@@ -82,27 +63,10 @@ class SamplerConfig(Schema):
     kind: Literal["occupancy", "proposal"] = setting("occupancy", "Occupancy grid, or two proposal levels.")
     rays: int = setting(2048, "Rays drawn per step.", ge=1)
     samples: int = setting(8192, "Occupancy: samples per step over all rays, packed; rays beyond are dropped.", ge=1)
-    least: int = setting(
-        2**18,
-        "Samples that a batch has at least on a GPU, if they fit: rays and samples are doubled until then. 0: as they are.",
-        ge=0,
-    )
     max_per_ray: int = setting(32, "Occupancy: largest number of samples on a ray.", ge=1)
-    candidates: int | None = setting(
-        None,
-        "Occupancy, among surroundings: rays drawn per ray taken; those that meet the object are preferred. None: 4 "
-        "where the scene states the object's box, else 1.",
-        ge=1,
-    )
     steps: int = setting(192, "Occupancy: steps of a ray through the object's box.", ge=32, multiple_of=32)
     grid: int = setting(128, "Occupancy: cells per axis over the object's box.", ge=8)
-    outer_grid: int = setting(64, "Occupancy: cells per axis over the contracted surroundings.", ge=8)
-    optical_depth: float = setting(
-        0.01,
-        "Occupancy: a cell counts as empty below this optical depth per step; before a blank background, below a tenth of it.",
-        gt=0,
-    )
-    settle: float = setting(0.0, "Occupancy, among surroundings: share of the training before any cell is ruled out.", ge=0, le=1)
+    optical_depth: float = setting(0.01, "Occupancy: a cell counts as empty below this optical depth per step.", gt=0)
     proposals: tuple[int, ...] = setting((64, 64), "Proposal: samples of each proposal level.")
     final: int = setting(32, "Proposal: samples of the final level.", ge=2)
     proposal_width: int = setting(64, "Proposal: width of each level's network.", ge=1)
@@ -118,22 +82,11 @@ class SurfaceConfig(Schema):
 
     enabled: bool = setting(True, "Run the second pass.")
     rays: int = setting(128, "Rays of a second pass, whose first surfaces the regularisers look at.", ge=1)
-    normal_factor: int = setting(
-        1,
-        "The losses of normals look at so many times as many, at every step: they need one point each, not a ball of them.",
-        ge=1,
-    )
-    first: Literal["auto", "median", "share", "half"] = setting(
-        "median",
-        "Which sample is a ray's first surface: the first above the median weight (the paper's), the first of half the largest "
-        "weight, or where half of the light is stopped. auto: share before a blank background; among surroundings the median, "
-        "and share from two fifths of the training on.",
-    )
+    normal_factor: int = setting(1, "The losses of normals use this many times as many rays, in every step.", ge=1)
     samples: int = setting(32, "Points and directions on the sphere.", ge=4)
     sampling: Literal["lattice", "fibonacci", "random"] = setting(
         "lattice", "Lattice directions on shells, the same without shells, or independent random directions."
     )
-    kappa: float = setting(0.0, "Concentration of the sphere lattice; 0 is uniform.", ge=0)
     reach: float = setting(1.0, "Radius of the ball of samples, as a multiple of the half-width of the pixel's footprint.", gt=0)
     density: float = setting(0.1, "Weight of density smoothness.", ge=0)
     normal: float = setting(0.1, "Weight of normal consistency.", ge=0)
@@ -142,53 +95,26 @@ class SurfaceConfig(Schema):
         "published", "Form of the Lambertian bias: for two kinds of surface, metals and others, or relative to its own maximum."
     )
     variation: float = setting(1e-3, "Weight of the specular total variation.", ge=0)
-    density_form: Literal["solid", "tangent", "published"] = setting(
-        "tangent", "Form of the density smoothness: dense below the surface and empty above it, or dense in its plane alone."
-    )
-    neighbours: int = setting(3, "Nearest directions in the total variation's graph.", ge=1)
-    neighbour_form: Literal["angular", "published"] = setting(
-        "angular", "Which directions are near: by angle, or by the cosine of (polar angle, azimuth, length), as published."
+    density_form: Literal["tangent", "published"] = setting(
+        "tangent", "Form of the density smoothness: density lies in the surface's plane, or as published."
     )
     first_period: int = setting(512, "Steps between second passes at the start (power of two).", ge=1)
     last_period: int = setting(4, "The same at the end.", ge=1)
-
-    def first_in_scene(self, *, bounded: bool) -> str:
-        """The rule for first surfaces in a scene with surroundings, or without."""
-        return self.first if self.first != "auto" else "share" if bounded else "median"
-
-    def turns_solid(self, *, bounded: bool) -> bool:
-        """Whether that rule gives way to "share" once the fog of the start is gone."""
-        return self.first == "auto" and not bounded
 
 
 class LossConfig(Schema):
     """Weights of the losses taken over from Zip-NeRF and Ref-NeRF."""
 
-    charbonnier: float = setting(1e-3, "Colour error below which the photometric loss is quadratic.", gt=0)
-    interlevel: float = setting(0.01, "Weight: proposal levels follow the final one.", ge=0)
     distortion: float = setting(0.0, "Weight: samples gather along a ray (real scenes: 0.01).", ge=0)
     hollowness: float = setting(0.0, "Weight: solid objects stay dense behind their surface.", ge=0)
-    hollow_from: float = setting(
-        0.0, "Share of the training before the hollowness counts: early fog must not be made solid.", ge=0, le=1
-    )
-    fog: float = setting(0.0, "Weight: rays lose no light before their surface; from a fifth of the training on.", ge=0)
+    fog: float = setting(0.0, "Weight: rays lose no light in front of their surface.", ge=0)
     orientation: float = setting(0.1, "Weight: visible normals face the camera.", ge=0)
     predicted_normals: float = setting(3e-4, "Weight: predicted normals follow the density's.", ge=0)
     density_normals: float = setting(3e-4, "Weight: the density's normals follow the predicted ones.", ge=0)
     last_density_normals: float | None = setting(
-        None, "What that weight grows to between two and four fifths of the training, as normals get right; none: it stays.", ge=0
+        None, "What that weight grows to, as normals get right; none: it stays as it is.", ge=0
     )
     decay: float = setting(0.1, "Weight: mean square of the tables' values, per level.", ge=0)
-    bounded_distortion: float | None = setting(
-        None, "Weight of the distortion in scenes without surroundings; none: the same.", ge=0
-    )
-    bounded_decay: float | None = setting(None, "Weight of the decay in scenes without surroundings; none: the same.", ge=0)
-    bounded_fog: float | None = setting(None, "Weight of the fog in scenes without surroundings; none: the same.", ge=0)
-
-    def in_scene(self, *, bounded: bool) -> "LossConfig":
-        """The weights that count in a scene with surroundings, or without."""
-        own = {"distortion": self.bounded_distortion, "decay": self.bounded_decay, "fog": self.bounded_fog} if bounded else {}
-        return self.model_copy(update={name: weight for name, weight in own.items() if weight is not None})
 
 
 class TrainConfig(Schema):
@@ -198,23 +124,34 @@ class TrainConfig(Schema):
     rate: float = setting(0.01, "Learning rate of the tables after warm-up.", gt=0)
     network_share: float = setting(0.25, "The networks' rate as a share of the tables'.", gt=0)
     final_rate: float = setting(0.001, "Learning rate of the tables at the end; log-linear between.", gt=0)
-    warmup: float = setting(0.02, "Share of the training over which the rate rises.", ge=0, le=1)
     seed: int = setting(0, "Seed of weights, rays and sphere rotations.", ge=0)
     first_blur: float = setting(0.02, "Standard deviation of every sample at the start [scene unit]; 0: none.", ge=0)
     last_blur: float = setting(0.001, "The same from `blur_until` on.", ge=0)
-    blur_until: float = setting(0.5, "Share of the training over which the blur shrinks.", gt=0, le=1)
-    precision: Literal["float32", "bfloat16"] = setting(
-        "float32", "Factors of the networks' products while training; sums and everything else are float32."
-    )
     accumulate: int = setting(1, "Batches whose mean gradient makes one step.", ge=1)
     per_image: Literal["auto", "none", "exposure", "colour"] = setting(
         "auto", "Learned per training image: nothing, a gain, or a gain per colour; auto: what matched points say differs."
     )
-    patience: float = setting(
-        0.0, "Stop when held-out training pixels have not improved for this share of the training; 0: never.", ge=0, le=1
-    )
     checkpoint_s: float = setting(60.0, "Seconds between checkpoints.", gt=0)
     tensorboard: bool = setting(False, "Write the log as TensorBoard's event files too (extra 'tensorboard').")
+
+
+class ScheduleConfig(Schema):
+    """When each stage of a training begins or ends, as a share of it; `training.schedule` has what else is fixed."""
+
+    warmup: float = setting(0.02, "The learning rate rises until then.", ge=0, le=1)
+    grid_from: float = setting(0.0, "Occupancy: no cell is ruled out earlier.", ge=0, le=1)
+    hollowness_from: float = setting(0.0, "The hollowness does not count earlier: early fog must not be made solid.", ge=0, le=1)
+    share_from: float = setting(
+        1.0,
+        "From then on the first surface of a ray is its first sample of at least half the largest weight; before, the first "
+        "above the median weight (the paper's rule).",
+        ge=0,
+        le=1,
+    )
+    bias_from: float = setting(
+        0.0, "The Lambertian bias of the object does not count earlier: its reflections are to be found first.", ge=0, le=1
+    )
+    blur_until: float = setting(0.5, "The blur of samples shrinks until then.", gt=0, le=1)
 
 
 class PoseConfig(Schema):
@@ -227,12 +164,6 @@ class PoseConfig(Schema):
         5e-4, "Standard deviation of a camera's position as it was calibrated [world unit: metres in captures].", gt=0
     )
     sigma_rad: float = setting(8.7e-4, "The same of its angle about each axis [rad].", gt=0)
-    rate: float = setting(0.02, "Learning rate, in these standard deviations.", ge=0)
-    final_rate: float = setting(0.001, "The same at the end; log-linear between.", gt=0)
-    start: float = setting(
-        0.1, "Share of the training before poses move; over the next tenth their rate rises to its full value.", ge=0, le=1
-    )
-    prior: float = setting(1e-5, "Weight of the squared corrections, in standard deviations, halved.", ge=0)
 
     def sigma(self, scale: float) -> tuple[float, ...]:
         """Standard deviations of a twist's six parts [scene unit, rad], `scale` scene units per world unit."""
@@ -250,32 +181,11 @@ class LightConfig(Schema):
     axis: tuple[float, float, float] | None = setting(
         None, "Turntable: the axis of rotation, in the scene's axes; none: measured from the cameras."
     )
-    parallax: float | None = setting(
+    parallax: Literal["learned"] | Annotated[float, Field(gt=1)] | None = setting(
         None,
-        "Radius of the sphere about the object on which reflected rays end [scene unit]; none: they end infinitely far away. "
-        "Lamps on the camera have no such sphere.",
-        gt=1,
+        "Radius of the sphere about the object on which reflected rays end [scene unit]; learned: found by training; none: they "
+        "end infinitely far away. Lamps on the camera have no such sphere.",
     )
-    parallax_learned: Literal["auto"] | bool = setting(
-        False, "Learn that radius, beginning with `parallax`, or with 10 where that is none; auto: before a blank background."
-    )
-    cast: int = setting(
-        0,
-        "Samples of the scene itself along each reflected ray, whose light comes before that from afar; 0: no ray is cast. For "
-        "deferred shading with an occupancy grid.",
-        ge=0,
-    )
-    cast_from: float = setting(
-        0.2,
-        "Share of the training before reflected rays are cast; over the next tenth they come to their full share.",
-        ge=0,
-        le=1,
-    )
-
-    def in_scene(self, *, bounded: bool) -> "LightConfig":
-        """The light of a scene with surroundings, or without."""
-        learned = bounded if self.parallax_learned == "auto" else self.parallax_learned
-        return self.model_copy(update={"parallax_learned": learned})
 
 
 class SkipConfig(Schema):
@@ -286,14 +196,24 @@ class SkipConfig(Schema):
         True, "The contraction, where all cameras look the same way: the frustum that they see takes its place."
     )
     regularisers: bool = setting(
-        False, "Regularisers of shape and normals, where neither masks nor the scene's box say what the object is."
+        True, "Regularisers of shape and normals, where neither masks nor the scene's box say what the object is."
+    )
+    reflection: bool = setting(
+        True, "Reflections and predicted normals, where most of the object keeps its colour from view to view."
     )
     empty_rays: bool = setting(True, "Space that masks or the occupancy grid rule out, and rays that meet only such space.")
-    multisampling: bool = setting(False, "Six Gaussians per frustum, where pixels' footprints are alike everywhere.")
-    reflection: bool = setting(
-        False, "Reflections and predicted normals, where most of the object keeps its colour from view to view."
-    )
-    distortion: bool = setting(True, "Undistortion of pinhole cameras' pixels.")
+
+
+Kind = Literal["blank", "surroundings", "unnamed", "matte"]
+
+
+class Overlays(Schema):
+    """Values for kinds of scene, laid over the others; training decides which hold, before its first step."""
+
+    blank: dict[str, Any] = setting({}, "Where pictures show the object alone.")
+    surroundings: dict[str, Any] = setting({}, "Where they show what is around it.")
+    unnamed: dict[str, Any] = setting({}, "Where neither masks nor the scene's box say what the object is.")
+    matte: dict[str, Any] = setting({}, "Where most of the object keeps its colour from view to view.")
 
 
 class Config(Schema):
@@ -308,15 +228,9 @@ class Config(Schema):
     surface: SurfaceConfig = SurfaceConfig()
     losses: LossConfig = LossConfig()
     train: TrainConfig = TrainConfig()
+    schedule: ScheduleConfig = ScheduleConfig()
     skip: SkipConfig = SkipConfig()
     poses: PoseConfig = PoseConfig()
     light: LightConfig = LightConfig()
-
-    def with_surroundings(self) -> "Config":
-        """The configuration for a scene that is more than its object's box."""
-        field = self.field
-        biases = {
-            "density_bias": field.density_bias + field.surroundings_bias,
-            "roughness_bias": field.roughness_bias + field.surroundings_roughness_bias,
-        }
-        return self.model_copy(update={"field": field.model_copy(update=biases)})
+    overlays: Overlays = Overlays()
+    kinds: tuple[Kind, ...] = setting((), "Kinds of scene whose overlays were laid over it, in this order.")

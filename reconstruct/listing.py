@@ -2,14 +2,14 @@
 
 from collections.abc import Iterator, Sequence
 from types import NoneType, UnionType
-from typing import Any, Literal, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from koala3d.reconstruct.config import Config
+from koala3d.reconstruct.config import Config, Overlays
 
-CHOSEN_ELSEWHERE = ("model", "preset")  # keys of a configuration that have options of their own
+CHOSEN_ELSEWHERE = ("model", "preset", "kinds")  # options of their own, or decided by a training
 
 
 def settings(config: Config) -> list[dict[str, Any]]:
@@ -20,6 +20,8 @@ def settings(config: Config) -> list[dict[str, Any]]:
 def _fields(section: BaseModel, prefix: str) -> Iterator[dict[str, Any]]:
     for name, field in type(section).model_fields.items():
         value = getattr(section, name)
+        if isinstance(value, Overlays):
+            continue
         if isinstance(value, BaseModel):
             yield from _fields(value, f"{prefix}{name}.")
         else:
@@ -32,6 +34,8 @@ def _fields(section: BaseModel, prefix: str) -> Iterator[dict[str, Any]]:
 def _type_name(annotation: Any) -> str:
     """A type as `--set` takes it: "float", "true|false", "[float, float]", "lattice|voxels"."""
     origin, inner = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        return _type_name(inner[0]) + _bounds(inner[1])
     if origin is Literal:
         return "|".join(map(str, inner))
     if origin in (Union, UnionType):

@@ -2,12 +2,15 @@
 
     about: what it is, in one line
     base: another model, whose presets this one changes (one level deep)
-    fast: {values that differ from the defaults, or from the base}
+    fast: {values that differ from the defaults, or from the base; overlays: values for kinds of scene}
     paper: {...}
 
-`--set section.key=value` overrides. The same changes may be laid over the configuration of a run (`over_run`).
+`--set section.key=value` overrides. A value that a person or a model based on another gives holds in every kind of scene. The
+same changes may be laid over the configuration of a run (`over_run`). `of_kinds` resolves the overlays.
 """
 
+import functools
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +18,7 @@ from pydantic import Field
 
 from koala3d.datasets.core.errors import UsageError, nearest
 from koala3d.datasets.core.schema import Schema, read_yaml, validate
-from koala3d.reconstruct.config import Config
+from koala3d.reconstruct.config import Config, Kind, Overlays
 
 PRESETS = ("fast", "paper")
 Tree = dict[str, Any]
@@ -45,14 +48,14 @@ def load_config(model: str = "surfnerf", preset: str = "fast", overrides: list[s
             raise UsageError(
                 f"the base of model {model} has a base itself", where=_path(model), remedy=f"write base: {below.base}"
             )
-        changes = merged(base, changes)
+        changes = laid_over(base, changes)
     return _validated({**changes, "model": model, "preset": preset}, overrides)
 
 
 def over_run(config: Config, model: str, overrides: list[str] | None = None) -> Config:
     """A run's configuration with the changes of a model file laid over it."""
     changes, _ = _read(model, config.preset)
-    return _validated(merged(config.model_dump(mode="json"), changes), overrides)
+    return _validated(laid_over(config.model_dump(mode="json"), changes), overrides)
 
 
 def changed(config: Config, overrides: list[str]) -> Config:
@@ -72,8 +75,16 @@ def finetuned(config: Config, overrides: list[str] | None = None) -> Config:
 
 
 def merged_config(config: Config, changes: Tree) -> Config:
-    """A configuration with the values of `changes`."""
-    return Config.model_validate(merged(config.model_dump(), changes))
+    """A configuration with the values of `changes`, in every kind of scene."""
+    return Config.model_validate(laid_over(config.model_dump(), changes))
+
+
+def of_kinds(config: Config, kinds: Sequence[Kind]) -> Config:
+    """The configuration for a scene of these kinds: plain values, and no overlays any more."""
+    tree = config.model_dump()
+    for kind in kinds:
+        tree = merged(tree, tree["overlays"][kind])
+    return Config.model_validate({**tree, "overlays": {}, "kinds": tuple(kinds)})
 
 
 def names() -> list[str]:
@@ -99,6 +110,27 @@ def merged(below: Tree, changes: Tree) -> Tree:
     return {**below, **both}
 
 
+def laid_over(below: Tree, changes: Tree) -> Tree:
+    """`merged`, and what `changes` say of all scenes takes the place of what the overlays of `below` say of some."""
+    return merged(_in_all_kinds(below, changes), changes)
+
+
+def _in_all_kinds(tree: Tree, named: Tree) -> Tree:
+    """A configuration whose overlays leave the values that are in `named` alone."""
+    return {**tree, "overlays": {kind: _without(overlay, named) for kind, overlay in tree.get("overlays", {}).items()}}
+
+
+def _without(tree: Tree, named: Any) -> Tree:
+    """A tree without the values that are in another."""
+    if not isinstance(named, dict):
+        return {}
+    return {
+        k: _without(v, named.get(k, {})) if isinstance(v, dict) else v
+        for k, v in tree.items()
+        if k not in named or isinstance(v, dict)
+    }
+
+
 def _folder() -> Path:
     from importlib.resources import files
 
@@ -117,9 +149,16 @@ def _read(model: str, preset: str) -> tuple[Tree, ModelFile]:
     file = validate(content, ModelFile, where=_path(model), lines=lines)
     changes = getattr(file, preset)
     inside = {place[1:]: line for place, line in lines.items() if place[:1] == (preset,)}
-    validate(changes, Config, where=f"model {model}, preset {preset}", lines=inside)
+    valid = validate(changes, Config, where=f"model {model}, preset {preset}", lines=inside)
+    for kind in Overlays.model_fields:
+        validate(getattr(valid.overlays, kind), Config, where=f"model {model}, preset {preset}, overlay {kind}")
     return changes, file
 
 
 def _validated(tree: Tree, overrides: list[str] | None) -> Config:
-    return validate(tree, Config, where="--set" if overrides else f"model {tree['model']}", overrides=overrides or ())
+    named: Tree = {}
+    for override in overrides or ():
+        keys = override.partition("=")[0].strip().split(".")
+        named = merged(named, functools.reduce(lambda inner, key: {key: inner}, reversed(keys[:-1]), {keys[-1]: None}))
+    where = "--set" if overrides else f"model {tree['model']}"
+    return validate(_in_all_kinds(tree, named), Config, where=where, overrides=overrides or ())

@@ -21,7 +21,7 @@ from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import DatasetError, UsageError
 from koala3d.datasets.imaging.copies import Copies
 from koala3d.datasets.scene import Scene
-from koala3d.reconstruct.config import Config, SkipConfig
+from koala3d.reconstruct.config import Config
 from koala3d.reconstruct.scene.facts import SceneFacts
 from koala3d.reconstruct.scene.rays import Normalisation
 
@@ -92,8 +92,8 @@ class Run:
             )
         content = files.read_json(path / RUN, kind=FORMAT, version=VERSION)
         try:
-            facts = SceneFacts.from_json(content.get("facts") or {"normalisation": content["normalisation"]})
-            config = Config.model_validate(_current(content["config"], content.get("facts") or {}))
+            facts = SceneFacts.from_json(content["facts"])
+            config = Config.model_validate(content["config"])
             return cls(path, config, content["scene"], facts, content)
         except (KeyError, TypeError, ValueError) as error:
             raise DatasetError("run is not complete", where=path / RUN, why=str(error).splitlines()[0]) from None
@@ -156,21 +156,3 @@ def _append(path: Path, line: dict[str, Any]) -> None:
         os.fsync(file.fileno())
     if new:
         files.flush(path.parent)
-
-
-def _current(config: dict[str, Any], facts: dict[str, Any]) -> dict[str, Any]:
-    """A run's configuration in today's terms.
-
-    At first it counted the points that stand for a frustum. What is measured on a scene was written into it until the facts had a
-    place of their own; there it still has effect, as a value that a person gave. Skips that training no longer has are left
-    out; the tables that `skip.table_size` made smaller keep their size.
-    """
-    if config["skip"].get("table_size") and not config["encoding"].get("volume"):
-        config = {**config, "encoding": {**config["encoding"], "volume": facts.get("volume")}}
-    config = {**config, "skip": {name: value for name, value in config["skip"].items() if name in SkipConfig.model_fields}}
-    if "multisamples" not in config["sampler"]:
-        return config
-    sampler = {**config["sampler"], "frustum": "hexagon" if config["sampler"]["multisamples"] == 6 else "point"}
-    del sampler["multisamples"]
-    field = {**config["field"], "view_skip": config["field"]["view_depth"] - 1 if config["field"]["view_skip"] else 0}
-    return {**config, "sampler": sampler, "field": field}

@@ -45,10 +45,14 @@ SET = [
 """The same as words for `--set`."""
 
 
+def in_scene(config: Config, facts: SceneFacts) -> Config:
+    """A configuration resolved for a scene whose kind its normalisation tells."""
+    return models.of_kinds(config, ["blank" if facts.normalisation.bounded else "surroundings"])
+
+
 def small(model: str = "surfnerf", preset: str = "fast", changes: Mapping[str, Any] | None = None) -> Config:
     """A model of these sizes, with further changes by section."""
-    config = models.merged(models.load_config(model, preset).model_dump(), SIZES)
-    return Config.model_validate(models.merged(config, dict(changes or {})))
+    return models.merged_config(models.merged_config(models.load_config(model, preset), SIZES), dict(changes or {}))
 
 
 def pixels_of(scene: Scene, normalisation: Normalisation) -> Pixels:
@@ -70,7 +74,7 @@ class Trainable:
     @classmethod
     def of(cls, config: Config, facts: SceneFacts, pixels: Pixels) -> "Trainable":
         """A step for a configuration, compiled."""
-        step = Step.of(config, facts)
+        step = Step.of(in_scene(config, facts), facts)
         start = step.initial(jax.random.key(0), None, len(pixels.origins))
         return cls(step, pixels, start, step.compiled(start, pixels))
 

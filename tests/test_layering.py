@@ -1,6 +1,7 @@
 """The rules of the code base: what is installed, who may import whom, how large folders, files and functions may be."""
 
 import ast
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -106,6 +107,14 @@ def test_the_walk_finds_the_packages() -> None:
 def test_one_name_is_installed() -> None:
     """Packages called `datasets` or `capture` would overwrite others' files: `make install-check` tries it."""
     assert (distribution("koala-capture").read_text("top_level.txt") or "").split() == ["koala3d"]
+
+
+def test_programs_in_strings_and_pages_import_koala3d() -> None:
+    """In the root of the repository the short names are found too, and only there."""
+    short = re.compile(rf"(?:from|import) (?:{'|'.join((*PACKAGES, 'configs'))})(?:\.|;| import)")
+    paths = [*modules(), *(ROOT / "tests").rglob("*.py"), *(ROOT / "docs").glob("*.md"), ROOT / "README.md"]
+    found = {str(path.relative_to(ROOT)): short.findall(path.read_text()) for path in paths if path != Path(__file__)}
+    assert not {path: names for path, names in found.items() if names}
 
 
 @pytest.mark.parametrize("package", PACKAGES)

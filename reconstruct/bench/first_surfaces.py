@@ -63,7 +63,7 @@ def _compared(training: Training, tracer: Tracer, width_m: float) -> list[Seen]:
     batch = drawn_batch(model, training.pixels, pixel_key, batch_key, ONE_DEVICE)
     drawn = model.sampler.sampled(batch, sample_key)
     cloud = cloud_of(batch.rays, drawn.samples, space=normalisation.space, footprint=drawn.footprint)
-    rendered, _ = render(model.field, batch.rays, drawn.samples, cloud, model.caster)
+    rendered, _ = render(model.field, batch.rays, drawn.samples, cloud)
     result = []
     for rule in RULES:
         surface = find_surfaces(rendered.weights, drawn.samples, batch.rays.radii, RAYS, rule)

@@ -25,13 +25,12 @@ from koala3d.reconstruct.field.encodings.directional import (
 from koala3d.reconstruct.field.lit import Lit
 from koala3d.reconstruct.field.mlp import Mlp
 from koala3d.reconstruct.field.moving_lamps import MovingLamps
-from koala3d.reconstruct.field.near import Near, mirrored
 from koala3d.reconstruct.field.parallax import Parallax
 from koala3d.reconstruct.numerics.safe import linear_from_srgb, normalise, srgb_from_linear
 from koala3d.reconstruct.scene.light import STILL, LightFrame
 
-RAMP = 0.2
-"""Beside the object's box, appearances pass from the object's start to that of its surroundings over so much [scene unit]."""
+VIEW_DEGREE = 4
+"""Octaves of sines that encode a view direction that is not reflected."""
 
 
 class Material(eqx.Module):
@@ -74,8 +73,6 @@ class Start:
 
     towards: tuple[float, float, float] | None = None
     """Mean direction from the object to the cameras."""
-    half_box: tuple[float, float, float] | None = None
-    """Half the size of the object's box [scene unit], where there is something around it."""
     light: LightFrame = STILL
     """Where the lamps stand still."""
     parallax: Parallax | None = None
@@ -103,30 +100,6 @@ class StartNormals:
         return self.outward * (points + jnp.asarray(self.towards)[:, None])
 
 
-@dataclass(frozen=True)
-class StartMatte:
-    """How much matter what is around the object begins than the object, whose reflections are to be found.
-
-    A mirror somewhere before a table can show each camera nearly what the table does; so that the table is found, nothing
-    around the object's box mirrors at first.
-    """
-
-    weight: float
-    half_box: tuple[float, float, float]
-
-    @classmethod
-    def of(cls, field: FieldConfig, start: Start) -> "StartMatte":
-        """Nowhere, if the box is not known or nothing is around it."""
-        return cls(field.matte_around if start.half_box else 0.0, start.half_box or (0.0, 0.0, 0.0))
-
-    def at(self, points: Float[Array, "3 n"]) -> Float[Array, "#1 #n"]:
-        """Added to raw diffuse colours and taken from raw tints; whole from `RAMP` beside the box on."""
-        if not self.weight:
-            return jnp.zeros((1, 1))
-        beyond = jnp.max(jnp.abs(points) - jnp.asarray(self.half_box)[:, None], axis=0, keepdims=True)
-        return self.weight * jnp.clip(beyond / RAMP, 0.0, 1.0)
-
-
 class Reflection(eqx.Module):
     """Diffuse colour, tint, roughness and a predicted normal, about which the view direction is reflected.
 
@@ -141,7 +114,6 @@ class Reflection(eqx.Module):
     specular_bias: float = eqx.field(static=True)
     roughness_bias: float = eqx.field(static=True)
     start: StartNormals = eqx.field(static=True)
-    matte: StartMatte = eqx.field(static=True)
     moving: MovingLamps | None = None
     """None where lamps stand still about the object."""
     parallax: Parallax | None = None
@@ -160,15 +132,13 @@ class Reflection(eqx.Module):
         network = _view_network(key, channels, field)
         biases = (field.diffuse_bias, field.specular_bias, field.roughness_bias)
         parallax = None if start.light.near else start.parallax
-        begin = StartNormals.of(field, start), StartMatte.of(field, start)
-        return cls(network, field.ide_degree, *biases, *begin, moving, parallax)
+        return cls(network, field.ide_degree, *biases, StartNormals.of(field, start), moving, parallax)
 
     def material(self, raw: Float[Array, "channels n"], points: Float[Array, "3 n"]) -> Material:
         """Heads of the spatial network's outputs at the given places of the contracted scene."""
-        matte = self.matte.at(points)
         return Material(
-            diffuse=jax.nn.sigmoid(raw[0:3] + self.diffuse_bias + matte),
-            tint=jax.nn.sigmoid(raw[3:6] - matte),
+            diffuse=jax.nn.sigmoid(raw[0:3] + self.diffuse_bias),
+            tint=jax.nn.sigmoid(raw[3:6]),
             roughness=jax.nn.softplus(raw[6:7] + self.roughness_bias),
             normals_pred=normalise(self.start.at(points) - raw[7:10], axis=0),
             bottleneck=raw[10:],
@@ -180,20 +150,24 @@ class Reflection(eqx.Module):
         viewdirs: Float[Array, "3 n"],
         normals: Float[Array, "3 n"] | None = None,
         light: Lit | None = None,
-        near: Near | None = None,
+        places: Float[Array, "3 n"] | None = None,
     ) -> Shading:
-        """Colour towards a camera that looks along unit `viewdirs`; `normals` instead of the predicted ones where given."""
+        """Colour towards a camera that looks along unit `viewdirs`.
+
+        Args:
+            normals: in place of the predicted ones.
+            places: where the points are [scene unit]; None: as if light came from afar.
+        """
         normals = normalise(material.normals_pred, axis=0) if normals is None else normals
         facing, reflected = mirrored(viewdirs, normals)
-        if self.parallax is not None and near is not None:
-            reflected = self.parallax.towards(reflected, near.places)
-        places = []
+        if self.parallax is not None and places is not None:
+            reflected = self.parallax.towards(reflected, places)
+        from_lens = []
         if self.moving is not None and light is not None:
-            reflected, places = self.moving.seen_by(light, reflected)
+            reflected, from_lens = self.moving.seen_by(light, reflected)
         encoded = integrated_directional_encoding(reflected, material.roughness[0], self.ide_degree)
-        raw = self.view(jnp.concatenate([material.bottleneck, encoded, facing[None], *places]))
-        seen = jax.nn.sigmoid(raw + self.specular_bias)
-        return _sum_of_parts(material.diffuse, material.tint * (seen if near is None else near.before(seen)))
+        raw = self.view(jnp.concatenate([material.bottleneck, encoded, facing[None], *from_lens]))
+        return _sum_of_parts(material.diffuse, material.tint * jax.nn.sigmoid(raw + self.specular_bias))
 
     def lit(self, material: Material, light: Lit) -> Material:
         """The material with its diffuse colour under lamps that move about it."""
@@ -207,7 +181,6 @@ class ViewColour(eqx.Module):
     """Colour by the direction of the view, all of it or what is added to a diffuse colour, wherever lamps stand."""
 
     view: Mlp
-    degree: int = eqx.field(static=True)
     has_diffuse: bool = eqx.field(static=True)
     diffuse_bias: float = eqx.field(static=True)
 
@@ -217,8 +190,8 @@ class ViewColour(eqx.Module):
     @classmethod
     def create(cls, key: PRNGKeyArray, field: FieldConfig) -> "ViewColour":
         """Fresh weights for the given sizes."""
-        network = _view_network(key, field.bottleneck + view_channels(field.view_degree), field)
-        return cls(network, field.view_degree, field.appearance == "view_diffuse", field.diffuse_bias)
+        network = _view_network(key, field.bottleneck + view_channels(VIEW_DEGREE), field)
+        return cls(network, field.appearance == "view_diffuse", field.diffuse_bias)
 
     @property
     def heads(self) -> int:
@@ -237,10 +210,10 @@ class ViewColour(eqx.Module):
         viewdirs: Float[Array, "3 n"],
         normals: Float[Array, "3 n"] | None = None,
         light: Lit | None = None,
-        near: Near | None = None,
+        places: Float[Array, "3 n"] | None = None,
     ) -> Shading:
         """Colour towards a camera that looks along unit `viewdirs`, whatever the normals."""
-        raw = self.view(jnp.concatenate([material.bottleneck, view_encoding(viewdirs, self.degree)]))
+        raw = self.view(jnp.concatenate([material.bottleneck, view_encoding(viewdirs, VIEW_DEGREE)]))
         colour = jax.nn.sigmoid(raw)
         if self.has_diffuse:
             return _sum_of_parts(material.diffuse, colour)
@@ -275,7 +248,7 @@ class Matte(eqx.Module):
         viewdirs: Float[Array, "3 n"],
         normals: Float[Array, "3 n"] | None = None,
         light: Lit | None = None,
-        near: Near | None = None,
+        places: Float[Array, "3 n"] | None = None,
     ) -> Shading:
         """The same colour from all sides."""
         return _sum_of_parts(material.diffuse, jnp.zeros_like(material.diffuse))
@@ -288,9 +261,15 @@ class Matte(eqx.Module):
 Appearance = Reflection | Matte | ViewColour
 
 
+def mirrored(viewdirs: Float[Array, "3 n"], normals: Float[Array, "3 n"]) -> tuple[Float[Array, " n"], Float[Array, "3 n"]]:
+    """Cosine between unit normals and the way to the camera, and the unit reflected directions (Ref-NeRF, equation 4)."""
+    facing = -jnp.sum(normals * viewdirs, axis=0)
+    return facing, 2 * facing * normals + viewdirs
+
+
 def create_appearance(key: PRNGKeyArray, field: FieldConfig, start: Start | None = None) -> Appearance:
-    """The appearance that a configuration names. `start`: where the object is; None: as far as the configuration says so."""
-    start = start or Start(field.towards, field.half_box)
+    """The appearance that a configuration names. `start`: where the object is; None: not known."""
+    start = start or Start()
     if field.appearance == "diffuse":
         return Matte(field.diffuse_bias, StartNormals.of(field, start))
     return Reflection.create(key, field, start) if field.appearance == "reflection" else ViewColour.create(key, field)

@@ -16,7 +16,6 @@ from koala3d.reconstruct.field.encodings.create import create_encoding
 from koala3d.reconstruct.field.encodings.encoding import Encoding
 from koala3d.reconstruct.field.lit import Lit
 from koala3d.reconstruct.field.mlp import Mlp
-from koala3d.reconstruct.field.near import Near
 from koala3d.reconstruct.numerics.safe import normalise, safe_exp
 
 
@@ -90,16 +89,16 @@ class Field(eqx.Module):
         viewdirs: Float[Array, "3 n"],
         normals: Float[Array, "3 n"] | None = None,
         light: Lit | None = None,
-        near: Near | None = None,
+        places: Float[Array, "3 n"] | None = None,
     ) -> Shading:
         """Colour of a `lit` material towards a camera that looks along unit `viewdirs`.
 
         Args:
             normals: unit normals to reflect about; None takes the predicted ones.
             light: how the points are to lamps that move about them.
-            near: what is near the points; None: all that they reflect is far away.
+            places: where the points are [scene unit]; None: all that they reflect is far away.
         """
-        return self.appearance.shade(material, viewdirs, normals, light, near)
+        return self.appearance.shade(material, viewdirs, normals, light, places)
 
     def _activated(self, raw: Float[Array, " n"]) -> Float[Array, " n"]:
         return safe_exp(raw + self.density_bias)

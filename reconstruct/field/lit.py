@@ -28,13 +28,6 @@ class Lit(eqx.Module):
         return cls(rotation, _rotated(rotation, (get(rays.directions) * t[:, None]).T))
 
     @classmethod
-    def at(cls, rays: Rays, points: Float[Array, "3 n"]) -> "Lit | None":
-        """Of one point for each ray that the ray's camera need not see [scene unit]; None where lamps stand still."""
-        if rays.light is None:
-            return None
-        return cls(rays.light, _rotated(rays.light, points - rays.origins.T))
-
-    @classmethod
     def towards(cls, frame: LightFrame, viewdirs: Float[Array, "3 n"]) -> "Lit | None":
         """Of points that cameras look at along unit directions, upright and from their usual distance."""
         if not frame.moves:

@@ -1,11 +1,4 @@
-"""A small fully connected network with channels first: the layout in which the encodings deliver.
-
-Its products may be computed in mixed precision: factors of 8 significant bits (bfloat16, which has float32's range, so that
-losses need no scaling), sums, biases and everything around them in float32. Parameters are float32 either way.
-"""
-
-from dataclasses import replace
-from typing import TypeVar
+"""A small fully connected network with channels first: the layout in which the encodings deliver."""
 
 import equinox as eqx
 import jax
@@ -22,8 +15,6 @@ class Mlp(eqx.Module):
     """Of (outputs, inputs) per layer."""
     biases: tuple[Float[Array, " _"], ...]
     skip: int = eqx.field(static=True)
-    precision: str = eqx.field(static=True, default="float32")
-    """Of the factors of its products: "float32" or "bfloat16"."""
 
     @classmethod
     def create(cls, key: PRNGKeyArray, *, channels: int, width: int, depth: int, outputs: int, skip: int = 0):
@@ -56,7 +47,7 @@ class Mlp(eqx.Module):
         return tuple(zip(self.weights, self.biases, strict=True))
 
     def _in_kernels(self, inputs: Float[Array, "channels n"]) -> bool:
-        return not self.skip and self.precision == "float32" and network.takes(self._layers, inputs)
+        return not self.skip and network.takes(self._layers, inputs)
 
     def in_jax(self, inputs: Float[Array, "channels n"]) -> Float[Array, "outputs n"]:
         """Evaluate without compiled kernels."""
@@ -64,35 +55,7 @@ class Mlp(eqx.Module):
         for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             if self.skip and layer == self.skip:
                 hidden = jnp.concatenate([hidden, inputs])
-            product = weight @ hidden if self.precision == "float32" else rounded_product(weight, hidden)
-            hidden = product + bias[:, None]
+            hidden = weight @ hidden + bias[:, None]
             if layer < len(self.weights) - 1:
                 hidden = jax.nn.relu(hidden)
         return hidden
-
-
-Tree = TypeVar("Tree")
-
-
-def computed_in(precision: str, tree: Tree) -> Tree:
-    """The same with all of its networks computed in the given precision; their parameters are the same arrays."""
-    is_network = lambda part: isinstance(part, Mlp)  # noqa: E731
-    return jax.tree.map(lambda part: replace(part, precision=precision) if is_network(part) else part, tree, is_leaf=is_network)
-
-
-@jax.custom_vjp
-def rounded_product(left: Float[Array, "rows inner"], right: Float[Array, "inner columns"]) -> Float[Array, "rows columns"]:
-    """left @ right with factors rounded to bfloat16 and sums in float32; in its derivatives, of whatever order, too."""
-    return jnp.matmul(left.astype(jnp.bfloat16), right.astype(jnp.bfloat16), preferred_element_type=jnp.float32)
-
-
-def _rounded_product_forward(left, right):
-    return rounded_product(left, right), (left, right)
-
-
-def _rounded_product_backward(factors, cotangent):
-    left, right = factors
-    return rounded_product(cotangent, right.T), rounded_product(left.T, cotangent)
-
-
-rounded_product.defvjp(_rounded_product_forward, _rounded_product_backward)

@@ -13,14 +13,15 @@ import math
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from koala3d.reconstruct.config import LightConfig
+from koala3d.reconstruct.scene.rays import Rays
 
 INSIDE = 0.9
 """Places further out than this share of the radius are taken to be as far out as it: rays from there still end on the sphere."""
 START = 10.0
-"""Radius with which learning begins where none is stated [scene unit]."""
+"""Radius with which learning begins [scene unit]."""
 
 
 class Parallax(eqx.Module):
@@ -34,15 +35,22 @@ class Parallax(eqx.Module):
     @classmethod
     def of(cls, light: LightConfig) -> "Parallax | None":
         """As configured; None where light comes from afar."""
-        if light.parallax is None and not light.parallax_learned:
+        if light.parallax is None:
             return None
-        inverse = 1 / (light.parallax or START)
-        return cls(inverse, jnp.asarray(math.log(inverse / (1 - inverse)), jnp.float32) if light.parallax_learned else None)
+        if light.parallax != "learned":
+            return cls(1 / light.parallax)
+        return cls(1 / START, jnp.asarray(-math.log(START - 1), jnp.float32))
 
     def towards(self, directions: Float[Array, "3 n"], places: Float[Array, "3 n"]) -> Float[Array, "3 n"]:
         """Unit directions from the sphere's centre to where rays from `places` [scene unit] along unit `directions` end."""
         inverse = self.inverse if self.logit is None else jax.nn.sigmoid(self.logit)
         return ends_on_sphere(directions, inverse * places)
+
+
+def places_on(rays: Rays, t: Float[Array, " n"], ray: Int[Array, " n"] | None = None) -> Float[Array, "3 n"]:
+    """Places [scene unit] at distance t along rays, or along those with the given indices: data, no gradient goes to them."""
+    get = lambda a: a if ray is None else a.at[ray].get(mode="promise_in_bounds")  # noqa: E731
+    return jax.lax.stop_gradient((get(rays.origins) + get(rays.directions) * t[:, None]).T)
 
 
 def ends_on_sphere(directions: Float[Array, "3 n"], places: Float[Array, "3 n"]) -> Float[Array, "3 n"]:

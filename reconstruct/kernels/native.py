@@ -125,7 +125,7 @@ def _folder() -> Path:
 
 def _compiling_apart() -> subprocess.Popen[bytes] | None:
     """A process that compiles `APART`, so that it is read from the disk afterwards; None where there can be none."""
-    program = "from reconstruct.kernels import native; native.imported(native.APART)"
+    program = "from koala3d.reconstruct.kernels import native; native.imported(native.APART)"
     try:
         return subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     except OSError:

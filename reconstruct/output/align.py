@@ -120,7 +120,7 @@ def _linearised(
     def colours(origins: Float[Array, "n 3"], directions: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
         shifted = Rays(origins, directions, rays.radii, light=rays.light)
         cloud = cloud_of(shifted, found.samples, space=space, footprint=found.footprint)
-        rendered, _ = render(model.field, shifted, found.samples, replace(cloud, followed=True), model.caster)
+        rendered, _ = render(model.field, shifted, found.samples, replace(cloud, followed=True))
         return jnp.clip(rendered.over(behind[None]), 0, 1)
 
     rgb, pull = jax.vjp(colours, rays.origins, rays.directions)

@@ -27,13 +27,13 @@ from koala3d.reconstruct.field.appearance import Material
 from koala3d.reconstruct.field.cloud import Cloud
 from koala3d.reconstruct.field.field import Field
 from koala3d.reconstruct.field.lit import Lit
-from koala3d.reconstruct.field.near import Near
 from koala3d.reconstruct.numerics.volume import volume_weights
 from koala3d.reconstruct.output.trained_model import TrainedModel
 from koala3d.reconstruct.scene.space import Space
 from koala3d.reconstruct.surface.ball import ball_samples, shell_radii, sphere_directions
 from koala3d.reconstruct.surface.first_surface import first_surface
 from koala3d.reconstruct.surface.regularisers import direction_likeness
+from koala3d.reconstruct.surface.second_pass import NEIGHBOURS
 from koala3d.reconstruct.training.loop import start
 
 STEPS = 600  # steps of the short training for B.1
@@ -50,10 +50,10 @@ def draw_all(trained: TrainedModel, out: Path, *, steps: int = STEPS) -> dict[st
     point = surface_points(trained)[0]
     with files.atomic_folder(out) as folder:
         figures = {
-            "sphere": draw_sphere(surface.samples, surface.kappa),
+            "sphere": draw_sphere(surface.samples),
             "weights": draw_weights(*weights_while_training(trained, steps)),
             "bias": draw_bias(trained),
-            "graph": draw_graph(point[1], surface.samples, surface.neighbours, surface.neighbour_form),
+            "graph": draw_graph(point[1], surface.samples, NEIGHBOURS),
         }
         for name, figure in figures.items():
             figure.savefig(folder / f"{name}.png", dpi=140)
@@ -145,7 +145,7 @@ def weights_while_training(trained: TrainedModel, steps: int) -> tuple[list[int]
                 seen.append(training.clock.step)
                 weights.append(np.asarray(evaluate(training.state.model.field)))
     stacked = np.stack(weights)
-    rule = config.surface.first_in_scene(bounded=normalisation.bounded)  # as the training finds it
+    rule = "share" if config.schedule.share_from < 1 else "median"  # as the training finds it at last
     first = np.asarray(first_surface(jnp.asarray(stacked), jnp.ones(stacked.shape, bool), rule))
     return seen, t * length, stacked, first
 
@@ -182,8 +182,8 @@ def hemisphere_colours(trained: TrainedModel, position: NDArray, normal: NDArray
     _, material = field(Cloud(jnp.asarray(position, jnp.float32)[:, None], None, space))
     repeated = Material.unstacked(jnp.repeat(material.stacked(), len(outward), axis=1))
     viewdirs = jnp.asarray(-outward.T, jnp.float32)
-    near = Near(jnp.broadcast_to(jnp.asarray(position, jnp.float32)[:, None], viewdirs.shape))
-    shading = field.shade(repeated, viewdirs, light=Lit.towards(trained.run.facts.light, viewdirs), near=near)
+    places = jnp.broadcast_to(jnp.asarray(position, jnp.float32)[:, None], viewdirs.shape)
+    shading = field.shade(repeated, viewdirs, light=Lit.towards(trained.run.facts.light, viewdirs), places=places)
     return {"outward": outward, "specular": np.asarray(shading.specular.T), "diffuse": np.asarray(material.diffuse[:, 0])}
 
 
@@ -211,7 +211,7 @@ def draw_bias(trained: TrainedModel) -> Figure:
     return figure
 
 
-def draw_graph(normal: NDArray, count: int, neighbours: int, form: str = "angular", seed: int = 0) -> Figure:
+def draw_graph(normal: NDArray, count: int, neighbours: int, seed: int = 0) -> Figure:
     """D.1: directions flipped into the visible hemisphere and their graph, as a polar map about the normal and from above."""
     drawn, _ = ball_samples(jax.random.key(seed), 1, SurfaceConfig(samples=count))
     directions = np.asarray(drawn[0], np.float64)
@@ -219,7 +219,7 @@ def draw_graph(normal: NDArray, count: int, neighbours: int, form: str = "angula
     visible = np.where(flipped[:, None], -directions, directions)
     across, up = _tangents(normal)
     local = np.stack([visible @ across, visible @ up, visible @ normal], -1)
-    likeness = np.asarray(direction_likeness(jnp.asarray(-visible[None], jnp.float32), form))[0] - 4 * np.eye(count)
+    likeness = np.asarray(direction_likeness(jnp.asarray(-visible[None], jnp.float32)))[0] - 4 * np.eye(count)
     nearest = np.argsort(-likeness, axis=1)[:, :neighbours]
     azimuth, elevation = angles_of(local)
     figure = Figure(figsize=(11, 4.6), layout="constrained")

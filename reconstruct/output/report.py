@@ -14,7 +14,7 @@ from koala3d.datasets.core import files
 from koala3d.datasets.core.console import progress
 from koala3d.datasets.imaging import images
 from koala3d.datasets.reports.html import Number, ReportPage
-from koala3d.reconstruct.output import metrics
+from koala3d.reconstruct.output import metrics, schedule_plot
 from koala3d.reconstruct.output.evaluate import current, read_truth
 from koala3d.reconstruct.output.export import brightness_of_depth
 from koala3d.reconstruct.output.metric_names import NAMES, mesh_note, unit
@@ -23,7 +23,7 @@ from koala3d.reconstruct.rendering.pictures import Picture
 from koala3d.reconstruct.run import Run
 from koala3d.reconstruct.scene import poses
 from koala3d.reconstruct.training.beginning.series import WEIGHTS
-from koala3d.reconstruct.training.skipping import record
+from koala3d.reconstruct.training.decisions import record
 
 VIEWS = 4
 CALIBRATION_ERRORS = {
@@ -97,13 +97,16 @@ def _rest(page: ReportPage, run: Run, result: dict[str, Any], calibrated: list[M
         page.drawing(drawn)
     page.section("Training")
     page.items(_facts(run, result))
+    page.drawing(
+        schedule_plot.drawn(run.config), "what followed the progress of the training, each relative to its largest value"
+    )
     if skips := record.read(run.path):
         page.section("Skips", "--no-skip NAME prevents a skip.")
         body = []
         for one in skips:
             name, decision = one.name if one.name in record.NAMES else "", "skipped" if one.skipped else "kept"
-            body.append((record.in_words(one.name), name, decision, one.evidence, one.saving, one.cost))
-        page.table(("what", "name", "decision", "evidence", "saving", "cost"), body)
+            body.append((one.what, name, decision, one.evidence, one.saving))
+        page.table(("what", "name", "decision", "evidence", "saving"), body)
 
 
 def side_by_side(truth: dict[str, NDArray[np.float32]], picture: Picture) -> dict[str, Pair]:
@@ -195,7 +198,7 @@ def _curve(run: Run) -> str | None:
         return None
     drawing = blank(8, 3.2)
     axes = drawing.add_subplot()
-    curves = (("psnr_unseen", "held-out pixels", COLOURS[0], 2), ("psnr_train", "training rays (last batch)", COLOURS[1], 1.2))
+    curves = (("psnr_unseen", "test views", COLOURS[0], 2), ("psnr_train", "training rays (last batch)", COLOURS[1], 1.2))
     for key, label, colour, width in curves:
         points = [(line["seconds"], line[key]) for line in log if key in line]
         if points:

@@ -6,7 +6,7 @@ from jaxtyping import Array, Float
 from koala3d.reconstruct.field.appearance import Material
 from koala3d.reconstruct.field.field import Field
 from koala3d.reconstruct.field.lit import Lit
-from koala3d.reconstruct.field.near import Near
+from koala3d.reconstruct.field.parallax import places_on
 from koala3d.reconstruct.kernels import compositing
 from koala3d.reconstruct.numerics.compiling import barrier
 from koala3d.reconstruct.numerics.volume import volume_weights
@@ -55,6 +55,6 @@ def values_of(field: Field, material: Material, rays: Rays, samples: RaySamples)
     if field.deferred:
         return material.parts
     directions = rays.viewdirs.at[samples.ray].get(mode="promise_in_bounds").T
-    near = Near.on(rays, samples.t, samples.ray) if field.appearance.parallax is not None else None
-    shading = barrier(field.shade(material, directions, light=light, near=near))
+    places = places_on(rays, samples.t, samples.ray) if field.appearance.parallax is not None else None
+    shading = barrier(field.shade(material, directions, light=light, places=places))
     return (*material.parts, shading.rgb, shading.specular)

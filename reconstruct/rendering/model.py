@@ -13,11 +13,9 @@ from koala3d.reconstruct.field.appearance import Material, Start
 from koala3d.reconstruct.field.cloud import Cloud
 from koala3d.reconstruct.field.field import Field
 from koala3d.reconstruct.field.lit import Lit
-from koala3d.reconstruct.field.near import Near
-from koala3d.reconstruct.field.parallax import Parallax
+from koala3d.reconstruct.field.parallax import Parallax, places_on
 from koala3d.reconstruct.numerics.compiling import barrier
 from koala3d.reconstruct.numerics.safe import linear_from_srgb, srgb_from_linear
-from koala3d.reconstruct.rendering.casting import Caster, Casting
 from koala3d.reconstruct.rendering.compositing import composited, values_of
 from koala3d.reconstruct.sampling.create import create
 from koala3d.reconstruct.sampling.sampler import Sampler
@@ -25,8 +23,8 @@ from koala3d.reconstruct.sampling.samples import RaySamples
 from koala3d.reconstruct.scene.facts import SceneFacts
 from koala3d.reconstruct.scene.rays import Rays
 
-HELD = ("blur", "grid", "cast_share")
-"""Names of the parts of a model that no gradient goes to: blur and share follow a schedule, a grid what training meets."""
+HELD = ("blur", "grid")
+"""Names of the parts of a model that no gradient goes to: a blur follows a schedule, a grid what training meets."""
 
 
 class Model(eqx.Module):
@@ -38,8 +36,6 @@ class Model(eqx.Module):
     """Logarithm of each training view's gain, one for all colours or one for each; counted from the views' mean."""
     poses: Float[Array, "views 6"] | None = None
     """Correction of each training view's pose; see `twists`."""
-    casting: Casting | None = None
-    """None where reflected rays are not cast."""
 
     @classmethod
     def create(
@@ -50,16 +46,13 @@ class Model(eqx.Module):
         Args:
             possible: cells that can hold anything, see `Sampler.possible_cells`.
         """
-        config = config if facts.normalisation.bounded else config.with_surroundings()
         field_key = jax.random.split(key, 1 + len(config.sampler.proposal_finest))[0]
-        parallax = Parallax.of(config.light.in_scene(bounded=facts.normalisation.bounded))
-        half_box = config.field.half_box or facts.half_box
-        start = Start(config.field.towards or facts.towards, half_box, facts.light, parallax)
+        start = Start(facts.towards, facts.light, Parallax.of(config.light))
         field = Field.create(field_key, config.encoding, config.field, start=start)
         sampler = create(key, config, facts, possible, config.field.density_bias)
         gains = first_gains(config, facts, views)
         poses = jnp.zeros((views, 6)) if config.poses.enabled is True else None
-        return cls(field, sampler, gains, poses, Casting.of(config, sampler))
+        return cls(field, sampler, gains, poses)
 
     @property
     def log_gains(self) -> Float[Array, "views gains"]:
@@ -70,15 +63,6 @@ class Model(eqx.Module):
     def blurred(self, blur: Float[Array, ""]) -> "Model":
         """The same with every sample as wide as `blur` [scene unit]."""
         return eqx.tree_at(lambda m: m.field.encoding.blur, self, blur)
-
-    def casting_with(self, share: Float[Array, ""]) -> "Model":
-        """The same with so much of what its reflected rays meet; as it is where none are cast."""
-        return self if self.casting is None else eqx.tree_at(lambda m: m.casting.cast_share, self, share)
-
-    @property
-    def caster(self) -> Caster | None:
-        """What casts its reflected rays."""
-        return None if self.casting is None else self.casting.through(self.sampler)
 
     def split(self) -> tuple["Model", "Model"]:
         """What is learned, and the rest (see `HELD`); `eqx.combine` joins them."""
@@ -129,34 +113,22 @@ class Rendered(eqx.Module):
         return eqx.tree_at(lambda r: r.rgb, self, srgb_from_linear(light) * opacity)
 
 
-def render(
-    field: Field, rays: Rays, samples: RaySamples, cloud: Cloud, caster: Caster | None = None
-) -> tuple[Rendered, Float[Array, " n"]]:
+def render(field: Field, rays: Rays, samples: RaySamples, cloud: Cloud) -> tuple[Rendered, Float[Array, " n"]]:
     """Composite the samples of each ray, and shade them as the field is shaded.
-
-    Args:
-        caster: of reflected rays; None: none are cast.
 
     Returns:
         The rays, and the density of every sample [1 / scene unit].
     """
     density, material = barrier(field(cloud))
     weights, sums = barrier(composited(density, values_of(field, material, rays, samples), samples, rays.speed))
-    return barrier((seen(field, rays, sums, weights, caster), density))
+    return barrier((seen(field, rays, sums, weights), density))
 
 
-def seen(
-    field: Field,
-    rays: Rays,
-    sums: Float[Array, "channels rays"],
-    weights: Float[Array, "rays slots"],
-    caster: Caster | None = None,
-) -> Rendered:
+def seen(field: Field, rays: Rays, sums: Float[Array, "channels rays"], weights: Float[Array, "rays slots"]) -> Rendered:
     """Rays whose samples are composited, shaded where the field shades rays.
 
     Args:
         sums: of weights, of t and of `values_of`.
-        caster: see `render`.
     """
     opacity = sums[0]
     mean = sums / jnp.maximum(opacity, 1e-6)
@@ -164,8 +136,8 @@ def seen(
     if field.deferred:
         light = Lit.on(rays, mean[1])
         material = field.lit(Material.unstacked(barrier(mean[2:])), light)
-        near = _near(field, rays, material, mean[1], opacity, caster)
-        shading = barrier(field.shade(material, rays.viewdirs.T, light=light, near=near))
+        places = places_on(rays, mean[1]) if field.appearance.parallax is not None else None
+        shading = barrier(field.shade(material, rays.viewdirs.T, light=light, places=places))
         rgb, specular = shading.rgb * opacity, shading.specular * opacity
         diffuse = diffuse if light is None else material.diffuse * opacity
     else:
@@ -180,17 +152,3 @@ def seen(
         depth=mean[1],
         weights=weights,
     )
-
-
-def _near(
-    field: Field,
-    rays: Rays,
-    material: Material,
-    t: Float[Array, " rays"],
-    opacity: Float[Array, " rays"],
-    caster: Caster | None,
-) -> Near | None:
-    """What is near the rays' surfaces; None where it makes no difference."""
-    if caster is not None:
-        return barrier(caster.near(field, rays, material, t, opacity))
-    return Near.on(rays, t) if field.appearance.parallax is not None else None

@@ -197,7 +197,7 @@ class Renderer:
     ) -> Float[Array, "rays channels"]:
         """All channels of rays whose samples are composited."""
         split = sums.shape[1] - 3 if with_normals else sums.shape[1]
-        shown = seen(model.field, rays, sums[:, :split].T, jnp.zeros((sums.shape[0], 0)), model.caster)
+        shown = seen(model.field, rays, sums[:, :split].T, jnp.zeros((sums.shape[0], 0)))
         columns = {
             "rgb": jnp.clip(shown.over(jnp.asarray(self.behind)[None]), 0, 1),
             "opacity": shown.opacity[:, None],

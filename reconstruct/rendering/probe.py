@@ -9,10 +9,9 @@ from koala3d.datasets.core.console import progress
 from koala3d.datasets.imaging.copies import Copies
 from koala3d.datasets.scene import Scene
 from koala3d.reconstruct.config import Config
-from koala3d.reconstruct.rendering.exposure import across_halves, exposed, left_half
+from koala3d.reconstruct.rendering.exposure import across_halves, left_half
 from koala3d.reconstruct.rendering.model import Model
 from koala3d.reconstruct.rendering.pictures import Renderer
-from koala3d.reconstruct.scene import poses
 from koala3d.reconstruct.scene.light import STILL, LightFrame
 from koala3d.reconstruct.scene.rays import Normalisation, Pixels, pixel_counts, scaled_camera
 
@@ -76,17 +75,6 @@ class Probe(NamedTuple):
                 maps = {name: rendered[name][own] for name in ("rgb", "opacity")}
                 rgb[own], _ = across_halves(maps, self.colour[own], self.left[own], renderer.behind[0], gains)
         return _psnr(rgb, self.colour)
-
-
-def held_out_psnr(held: Pixels, model: Model, renderer: Renderer) -> float:
-    """PSNR [dB] of pixels of training views, with their views' poses and gains as they were learned."""
-    *rays, target = poses.over_white(held, model.poses)
-    rendered = renderer.rays(model, *rays)
-    rgb = rendered["rgb"]
-    if model.per_image is not None:
-        gains = np.asarray(model.log_gains)[np.asarray(held.view)]
-        rgb = exposed(rgb, rendered["opacity"], renderer.behind[0], gains)
-    return _psnr(rgb, target)
 
 
 def _psnr(rendered: Float[np.ndarray, "n 3"], target: Float[np.ndarray, "n 3"]) -> float:

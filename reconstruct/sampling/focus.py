@@ -31,8 +31,6 @@ class Focus:
 
     half_box: tuple[float, float, float]
     """Half the size of the object's box about the origin [scene unit]; it lies in the unit ball."""
-    candidates: int
-    """Rays drawn for each that a step takes."""
 
 
 def weights(

@@ -29,11 +29,10 @@ from koala3d.reconstruct.scene.space import BOX, Space
 
 UPKEEP_PERIOD, UPKEEP_CELLS = 16, 65536
 """Every so many steps the field is evaluated in so many cells of the grid."""
+OUTER = 2
+"""Cells per axis of the object's grid for each of the grid of the surroundings."""
 SAMPLES_PER_RAY = 8
 """The packed list is planned for rays that need at least this many samples each."""
-BOUNDED = 0.1
-"""Where masks have ruled out most of the space, a cell is empty only below this share of the configured optical depth: what
-is ruled out gets no samples, so a hole that opens in the fog of the first steps stays open."""
 
 Met = tuple[Int[Array, " n"], Float[Array, " n"]]
 """Cells and densities."""
@@ -56,8 +55,6 @@ class OccupiedSteps(Sampler):
     """How rays that meet the object are preferred; None: they are not."""
     empty_below: float = eqx.field(static=True)
     """Optical depth of a step below which its cell is empty; 0: no cell is."""
-    settle: float = eqx.field(static=True)
-    """Share of the training before any cell is ruled out."""
 
     rules_out_space: ClassVar[bool] = True
     memory_grows_with_rays: ClassVar[bool] = False
@@ -69,15 +66,14 @@ class OccupiedSteps(Sampler):
         """With a full grid, less what is not `possible`."""
         sampler, normalisation = config.sampler, facts.normalisation
         space = normalisation.space
-        half_box = config.field.half_box or facts.half_box
-        candidates = sampler.candidates or (focus.CANDIDATES if facts.box_is_stated else 1)
-        focused = None if space.single_grid or half_box is None or candidates == 1 else focus.Focus(half_box, candidates)
+        prefers = facts.box_is_stated and facts.half_box is not None and not space.single_grid
+        focused = focus.Focus(facts.half_box) if prefers else None
         return cls(
             grid=Occupancy.create(
                 config.train.seed,
                 grid=sampler.grid,
-                outer_grid=sampler.outer_grid,
                 space=space,
+                outer_grid=sampler.grid // OUTER,
                 steps=sampler.steps,
                 possible=possible,
             ),
@@ -89,8 +85,7 @@ class OccupiedSteps(Sampler):
             near=normalisation.near,
             far=normalisation.far,
             focused=focused,
-            empty_below=sampler.optical_depth * (BOUNDED if space.bounded else 1.0) if config.skip.empty_rays else 0.0,
-            settle=0.0 if space.bounded else sampler.settle,
+            empty_below=sampler.optical_depth if config.skip.empty_rays else 0.0,
         )
 
     @classmethod
@@ -102,7 +97,7 @@ class OccupiedSteps(Sampler):
             return None
         if normalisation.bounded:
             return cells_in_masks(pixels, views, normalisation, config.sampler.grid, config.scale, slack=slack)
-        return cells_in_sight(views, normalisation, config.sampler.grid if normalisation.frustum else config.sampler.outer_grid)
+        return cells_in_sight(views, normalisation, config.sampler.grid // (1 if normalisation.frustum else OUTER))
 
     @property
     def rays_drawn(self) -> int:
@@ -140,7 +135,7 @@ class OccupiedSteps(Sampler):
         if self.focused is None:
             return jax.random.randint(key, (self.rays_drawn,), 0, total)
         index_key, jitter_key, order_key = jax.random.split(key, 3)
-        index = jax.random.randint(index_key, (self.focused.candidates * self.rays_drawn,), 0, total)
+        index = jax.random.randint(index_key, (focus.CANDIDATES * self.rays_drawn,), 0, total)
         rays, _ = barrier(pixels.take(barrier(index)))
         weights = focus.weights(self.grid, rays, self.focused.half_box, jax.random.uniform(jitter_key, index.shape))
         return index[focus.taken(order_key, weights, self.rays_drawn)]
@@ -223,9 +218,9 @@ class OccupiedSteps(Sampler):
         """The grid keeps the largest densities."""
         return eqx.tree_at(lambda s: s.grid, self, self.grid.noted(*met))
 
-    def upkeep_due(self, since: int, progress: float) -> bool:
-        """Every `UPKEEP_PERIOD` steps, once the field has settled."""
-        return progress >= self.settle and since >= UPKEEP_PERIOD
+    def upkeep_due(self, since: int) -> bool:
+        """Every `UPKEEP_PERIOD` steps."""
+        return since >= UPKEEP_PERIOD
 
     def upkept(self, field: Field, key: PRNGKeyArray) -> "OccupiedSteps":
         """The field is evaluated in the next cells of the grid, and occupied cells are decided anew."""

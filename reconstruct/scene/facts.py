@@ -60,5 +60,4 @@ class SceneFacts:
         vectors = {name: None if (v := content.get(name)) is None else tuple(v) for name in ("towards", "half_box")}
         gains = None if (v := content.get("log_gains")) is None else tuple(tuple(gain) for gain in v)
         parts = {"normalisation": Normalisation(**normalisation), "log_gains": gains}
-        content = {name: value for name, value in content.items() if name != "volume"}  # of runs with skip.table_size
         return cls(**{**content, **vectors, **parts, "light": LightFrame.from_json(content.get("light"))})

@@ -74,25 +74,15 @@ class Pool:
         return max(1, round(REUSE * float(self.shares.sum()) / (len(self.views) * self.rays)))
 
     @cached_property
-    def _held(self) -> list[Int[np.ndarray, " _"]]:
-        """Of each view, the pixels that never come into the pool, ascending."""
-        ends, total = np.cumsum(self.sizes), int(self.sizes.sum())
-        held = np.sort(np.random.default_rng(0).choice(total, max(1, min(HELD, total // 100)), replace=False))
-        parts = np.split(held, np.searchsorted(held, ends[:-1]))
-        return [part - end + size for part, end, size in zip(parts, ends, self.sizes, strict=True)]
-
-    @cached_property
     def _order(self) -> Int[np.ndarray, " views"]:
         """Views in the order of their turns."""
         return np.random.default_rng(0).permutation(len(self.views))
 
     def drawn(self, view: int, times: int) -> Int[np.ndarray, " share"]:
         """The pixels of a view that are in the pool after so many turns of it, ascending: a random one of each equal stretch."""
-        held = self._held[view]
-        free, share = int(self.sizes[view]) - len(held), int(self.shares[view])
+        size, share = int(self.sizes[view]), int(self.shares[view])
         places = np.arange(share) + np.random.default_rng([times, view]).random(share)
-        index = np.minimum((places * (free / share)).astype(np.int64), free - 1)
-        return index + np.searchsorted(held - np.arange(len(held)), index, side="right")  # counted without those held back
+        return np.minimum((places * (size / share)).astype(np.int64), size - 1)
 
     def _load(self, chosen: list[Int[np.ndarray, " _"]], progress) -> Pixels:
         return Pixels.load(self.views, self.normalisation, self.scale, progress, copies=self.copies, chosen=chosen)
@@ -100,10 +90,6 @@ class Pool:
     def pixels(self, progress) -> Pixels:
         """The pool before the first step."""
         return self._load([self.drawn(view, 0) for view in range(len(self.views))], progress)
-
-    def held_out(self, progress) -> Pixels:
-        """The pixels that never come into the pool."""
-        return self._load(self._held, progress)
 
     def _part(self, turn: int) -> Part:
         """What a turn brings into the pool."""

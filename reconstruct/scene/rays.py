@@ -237,17 +237,6 @@ class Pixels(eqx.Module):
         found = light.of_views(views)
         return self if found is None else replace(self, light=jnp.asarray(found))
 
-    def held_out(self, count: int) -> tuple["Pixels", "Pixels"]:
-        """The pixels without up to `count` random ones (a hundredth of all at most), and those; always the same ones."""
-        total = self.directions.shape[0]
-        held = np.random.default_rng(0).choice(total, max(1, min(count, total // 100)), replace=False)
-        rest = np.setdiff1d(np.arange(total), held)
-
-        def part(index: Int[np.ndarray, " n"]) -> Pixels:
-            return replace(self, colour=self.colour[index], directions=self.directions[index], view=self.view[index])
-
-        return part(rest), part(held)
-
     def over_white(self, index: Int[np.ndarray, " n"]) -> tuple[Any, ...]:
         """(origins, directions, radii, light or None, colour over white) of some pixels."""
         return pixels_over_white(*self.take(jnp.asarray(index)))

@@ -6,9 +6,6 @@ from koala3d.datasets.scene import View
 from koala3d.reconstruct.scene.pool import Pool
 from koala3d.reconstruct.scene.rays import Normalisation, Pixels
 
-HELD = 4096
-"""Pixels of training views that are held out, at most."""
-
 
 def training_pixels(
     views: tuple[View, ...], normalisation: Normalisation, scale: float, copies: Copies | None = None
@@ -19,11 +16,3 @@ def training_pixels(
         if pool.is_needed:
             return pool.pixels(shown), pool
         return Pixels.load(views, normalisation, scale, shown, copies=copies), None
-
-
-def held_out(pixels: Pixels, pool: Pool | None) -> tuple[Pixels, Pixels]:
-    """The pixels to train on, and some that are never trained on."""
-    if pool is None:
-        return pixels.held_out(HELD)
-    with progress("reading held-out pixels", len(pool.views), "images") as shown:
-        return pixels, pool.held_out(shown)

@@ -20,7 +20,7 @@ from koala3d.reconstruct.models import load_config
 from koala3d.reconstruct.output.evaluate import METRICS
 from koala3d.reconstruct.run import Run
 from koala3d.reconstruct.studies.jobs import BASE, CELLS, Job, Recipe, open_study, run_all, scenes_by_name
-from koala3d.reconstruct.training.skipping import record
+from koala3d.reconstruct.training.decisions import record
 
 FORMAT, VERSION = "koala-skips", 1
 COMPARISON = "comparison.json"

@@ -38,7 +38,7 @@ def ball_samples(
     if ball.sampling == "random":
         drawn = jax.random.normal(key, (rays, count, 3))
         return drawn / jnp.sqrt(jnp.maximum(jnp.sum(drawn**2, -1, keepdims=True), 1e-12)), radii
-    lattice = jnp.asarray(sphere_directions(count, ball.kappa), jnp.float32)
+    lattice = jnp.asarray(sphere_directions(count), jnp.float32)
     return jnp.einsum("rxy,ny->rnx", random_rotations(key, rays), lattice), radii
 
 

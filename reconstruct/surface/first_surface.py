@@ -57,7 +57,7 @@ def first_surface(
 
     Args:
         rule: "median": the first weight above the ray's median (supplement B); "share": the first of at least `SHARE` of the
-            largest; "half": where the light that gets through falls below one half.
+            largest.
     """
     found = RULES[rule](weights, valid)
     return jnp.where(jnp.any(found, -1), jnp.argmax(found, -1), jnp.argmax(jnp.where(valid, weights, -1.0), -1))
@@ -73,12 +73,8 @@ def _of_the_largest(weights: Float[Array, "rays slots"], valid: Bool[Array, "ray
     return valid & (weights >= SHARE * jnp.max(jnp.where(valid, weights, 0.0), -1, keepdims=True))
 
 
-def _past_half(weights: Float[Array, "rays slots"], valid: Bool[Array, "rays slots"]) -> Bool[Array, "rays slots"]:
-    return valid & (jnp.cumsum(jnp.where(valid, weights, 0.0), -1) >= 0.5)
-
-
-RULES = {"median": _above_median, "share": _of_the_largest, "half": _past_half}
-"""Which slots may be the first surface, of which the first is."""
+RULES = {"median": _above_median, "share": _of_the_largest}
+"""Which slots may be the first surface: it is the first of them."""
 
 
 def neighbourhood_radius(

@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 from koala3d.reconstruct.field.appearance import Material
 from koala3d.reconstruct.field.field import Field
 from koala3d.reconstruct.field.lit import Lit
-from koala3d.reconstruct.field.near import Near
+from koala3d.reconstruct.field.parallax import places_on
 from koala3d.reconstruct.numerics.safe import normalise
 from koala3d.reconstruct.scene.rays import Rays
 from koala3d.reconstruct.surface.first_surface import Surface
@@ -33,31 +33,20 @@ def bias_for_two_kinds(field: Field, place: Place, rays: Rays, surface: Surface)
     count = towards.shape[1]
     live = Material(held.diffuse, material.tint, held.roughness, held.normals_pred, held.bottleneck)
     repeated = Material.unstacked(jnp.repeat(live.stacked(), count, axis=1))
-    light, near = Lit.on(rays, surface.t, surface.ray), Near.on(rays, surface.t, surface.ray)
+    light, places = Lit.on(rays, surface.t, surface.ray), places_on(rays, surface.t, surface.ray)
     shading = jax.lax.stop_gradient(field).shade(
         repeated,
         towards.reshape(-1, 3).T,
         light=None if light is None else light.repeated(count),
-        near=Near(jnp.repeat(near.places, count, axis=1)),
+        places=jnp.repeat(places, count, axis=1),
     )
     return metal_or_not(material.diffuse.T, shading.specular.T.reshape(towards.shape))
 
 
-def kinds_told_apart(
-    place: Place, rays: Rays, surface: Surface, formed: float | Float[Array, ""]
-) -> Float[Array, " n"] | Float[Array, ""]:
-    """Factor on each point's bias: at an object among surroundings `formed`, everywhere else one.
-
-    A metal whose reflections are not there yet looks like a dielectric, and the bias would take its tint away. What is around the
-    object is mostly matte: there the bias holds from the start.
-
-    Args:
-        formed: from 0 to 1, how far the object has found its reflections.
-    """
-    if place.space.single_grid:
-        return jnp.ones(())
+def at_object(place: Place, rays: Rays, surface: Surface, factor: float | Float[Array, ""]) -> Float[Array, " n"]:
+    """`factor` for surface points in the object's ball, as data; one for those around it."""
     points = place.of(rays, surface).points
-    return jax.lax.stop_gradient(jnp.where(jnp.sum(points * points, 0) < 1, formed, 1.0))
+    return jax.lax.stop_gradient(jnp.where(jnp.sum(points * points, 0) < 1, factor, 1.0))
 
 
 def towards_surface(

@@ -17,16 +17,12 @@ def density_smoothness(
 ) -> Float[Array, " rays"]:
     """L_d: density around a surface point agrees with its tangent plane.
 
-    With alpha = 1 - exp(-density * radius), free of the scene's scale, and r the unit offset of a sample:
-    "solid": alpha r . n above the plane and (1 - alpha) |r . n| below it, which vanishes for a solid whose face is the plane;
-    "tangent": alpha |r . n|, which vanishes for a sheet in the plane; "published": alpha |1 - r . n|, as the published
-    implementation has it.
+    With alpha = 1 - exp(-density * radius), free of the scene's scale, and r the unit offset of a sample, "tangent" is
+    alpha |r . n|, which vanishes for a sheet in the plane; "published" is alpha |1 - r . n|, as in the published implementation.
     """
     optical_depth = jnp.minimum(density * radius[:, None], 80.0)
     alpha = -jnp.expm1(-optical_depth)
     along = jnp.einsum("rnx,rx->rn", offsets, normals)
-    if form == "solid":
-        return jnp.mean(jnp.abs(along) * jnp.where(along > 0, alpha, jnp.exp(-optical_depth)), -1)
     return jnp.mean(alpha * jnp.abs(along if form == "tangent" else 1 - along), -1)
 
 
@@ -68,17 +64,9 @@ def mirrors(diffuse: Float[Array, "rays 3"], specular: Float[Array, "rays n 3"])
     return along * along * (3 - 2 * along)
 
 
-def direction_likeness(directions: Float[Array, "rays n 3"], form: str) -> Float[Array, "rays n n"]:
-    """How near directions are to each other, in [-1, 1], as data: neighbours in a graph are those of the largest.
-
-    "angular": the cosine of the angle between them; "published": the cosine between their triples of polar angle, azimuth and
-    length, as the published implementation has it, which tears the sphere along a meridian and stretches its poles.
-    """
+def direction_likeness(directions: Float[Array, "rays n 3"]) -> Float[Array, "rays n n"]:
+    """Cosine of the angles between unit directions, as data: neighbours in a graph are those of the largest."""
     held = jax.lax.stop_gradient(directions)
-    if form == "published":
-        x, y, z = jnp.moveaxis(held, -1, 0)
-        held = jnp.stack([jnp.arctan2(jnp.sqrt(x * x + y * y), z), jnp.arctan2(y, x), jnp.ones_like(z)], -1)
-        held = held / jnp.sqrt(jnp.sum(held * held, -1, keepdims=True))  # at least 1 long: the unit length is one of the three
     return jnp.einsum("rix,rjx->rij", held, held)
 
 

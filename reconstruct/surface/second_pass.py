@@ -1,6 +1,5 @@
 """The second pass: the field around first surfaces and from many directions, and the regularisers there (paper section 4)."""
 
-import math
 from dataclasses import dataclass
 
 import jax
@@ -11,14 +10,16 @@ from koala3d.reconstruct.config import SurfaceConfig
 from koala3d.reconstruct.field.appearance import Material
 from koala3d.reconstruct.field.field import Field
 from koala3d.reconstruct.field.lit import Lit
-from koala3d.reconstruct.field.near import Near
+from koala3d.reconstruct.field.parallax import places_on
 from koala3d.reconstruct.scene.rays import Rays
 from koala3d.reconstruct.surface import regularisers
 from koala3d.reconstruct.surface.ball import ball_samples
 from koala3d.reconstruct.surface.first_surface import Surfaces
-from koala3d.reconstruct.surface.parts import bias_for_two_kinds, kinds_told_apart
+from koala3d.reconstruct.surface.parts import at_object, bias_for_two_kinds
 from koala3d.reconstruct.surface.place import Place
 
+NEIGHBOURS = 3
+"""Nearest directions in the graph of the total variation (supplement D)."""
 PerPoint = dict[str, Float[Array, " n"]]
 
 
@@ -30,12 +31,12 @@ class SecondPass:
     surface: SurfaceConfig
 
     def terms(
-        self, field: Field, rays: Rays, surfaces: Surfaces, key: PRNGKeyArray, formed: float | Float[Array, ""]
+        self, field: Field, rays: Rays, surfaces: Surfaces, key: PRNGKeyArray, bias: float | Float[Array, ""]
     ) -> dict[str, Float[Array, ""]]:
         """Mean of each regulariser over the surface points, each counted by its weight along its ray.
 
         Args:
-            formed: from 0 to 1, how far an object among surroundings has found its reflections.
+            bias: factor on the Lambertian bias of the object, in [0, 1]; what is around it is mostly matte, and has it whole.
         """
         surface, wanted = surfaces.first, self.surface
         directions, radii = ball_samples(key, surface.ray.shape[0], wanted)
@@ -48,13 +49,13 @@ class SecondPass:
             density, _, normals = field.with_normals(self.place.of(rays, surface, offsets))
             per_point |= self._around(density, normals, directions, normal, reach)
         if wanted.variation or published_bias:
-            light, near = Lit.on(rays, surface.t, surface.ray), Near.on(rays, surface.t, surface.ray)
-            per_point |= self._over_directions(field, material, directions, normal, light, near)
+            light, places = Lit.on(rays, surface.t, surface.ray), places_on(rays, surface.t, surface.ray)
+            per_point |= self._over_directions(field, material, directions, normal, light, places)
         terms = {name: surface.mean(value) for name, value in per_point.items()}
         if wanted.bias and wanted.bias_form == "kinds" and field.appearance.has_diffuse:
-            bias = bias_for_two_kinds(field, self.place, rays, surfaces.solid)
-            told = kinds_told_apart(self.place, rays, surfaces.solid, formed)
-            terms["lambertian_bias"] = wanted.bias * surfaces.solid.mean(bias * told)
+            two_kinds = bias_for_two_kinds(field, self.place, rays, surfaces.solid)
+            factor = at_object(self.place, rays, surfaces.solid, bias)
+            terms["lambertian_bias"] = wanted.bias * surfaces.solid.mean(two_kinds * factor)
         return terms
 
     def _around(
@@ -81,30 +82,24 @@ class SecondPass:
         directions: Float[Array, "n around 3"],
         normal: Float[Array, "3 n"],
         light: Lit | None,
-        near: Near,
+        places: Float[Array, "3 n"],
     ) -> PerPoint:
         """L_b and L_s: the reflected colour over the visible hemisphere; all of the colour where nothing is diffuse.
 
-        Lamps that move about the object stay where they were for the ray's picture. No rays are cast.
+        Lamps that move about the object stay where they were for the ray's picture.
         """
         outward = jax.lax.stop_gradient(normal.T)
         facing = jnp.sum(directions * outward[:, None], -1, keepdims=True)
         inward = jnp.where(facing > 0, -directions, directions)  # light travels into the surface: d . n <= 0
         repeated = Material.unstacked(jnp.repeat(material.stacked(), directions.shape[1], axis=1))
         light = None if light is None else light.repeated(directions.shape[1])
-        near = Near(jnp.repeat(near.places, directions.shape[1], axis=1))
-        shading = field.shade(repeated, inward.reshape(-1, 3).T, light=light, near=near)
+        places = jnp.repeat(places, directions.shape[1], axis=1)
+        shading = field.shade(repeated, inward.reshape(-1, 3).T, light=light, places=places)
         diffuse = field.appearance.has_diffuse
         colour = (shading.specular if diffuse else shading.rgb).T.reshape(directions.shape)
-        likeness = regularisers.direction_likeness(inward, self.surface.neighbour_form)
-        variation = regularisers.specular_variation(colour, likeness, self.surface.neighbours)
+        likeness = regularisers.direction_likeness(inward)
+        variation = regularisers.specular_variation(colour, likeness, NEIGHBOURS)
         terms = {"specular_variation": self.surface.variation * variation}
         if diffuse and self.surface.bias and self.surface.bias_form == "published":
             terms["lambertian_bias"] = self.surface.bias * regularisers.lambertian_bias(colour)
         return terms
-
-
-def second_pass_period(progress: float, *, first: int, last: int) -> int:
-    """Steps between second passes: log-linear in progress, rounded to a power of two ("512/4", supplement H)."""
-    exponent = math.log2(first) + min(max(progress, 0.0), 1.0) * (math.log2(last) - math.log2(first))
-    return 2 ** round(exponent)

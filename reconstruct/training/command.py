@@ -52,9 +52,9 @@ def train(
     from koala3d.reconstruct.backend import cache_compilations
     from koala3d.reconstruct.run import RUN
     from koala3d.reconstruct.training import distributed
+    from koala3d.reconstruct.training.decisions import record
     from koala3d.reconstruct.training.loop import train as run_training
     from koala3d.reconstruct.training.ray_count import scaled
-    from koala3d.reconstruct.training.skipping import record
 
     set_ = [*(set_ or ()), *record.forced(no_skip or ()), *(["train.tensorboard=true"] if tensorboard else [])]
     if list_settings:
@@ -108,14 +108,15 @@ def _inputs(scene: str | None, from_: Path | None, model: str, preset: str, over
 
 def _summary(result: dict[str, Any], out: Path) -> str:
     """Skips, time and quality of a finished training."""
-    from koala3d.reconstruct.training.skipping import record
+    from koala3d.reconstruct.training.decisions import record
+    from koala3d.reconstruct.training.decisions.skip import Skip
 
-    skips = [record.Skip(**skip) for skip in result["skips"]]
+    skips = [Skip(**skip) for skip in result["skips"]]
     skipped = "".join(f"  {line}\n" for line in record.left_out(skips))
     if skipped:
         skipped = f"skipped, because this scene does not need it (every decision: {out / record.SKIPS}):\n{skipped}"
     beside = "".join(f"learned beside the model: {line}\n" for line in record.learned(skips))
-    known = {"training rays": result["psnr_train"], "held-out pixels": result["psnr_unseen"]}
+    known = {"training rays": result["psnr_train"], "test views": result["psnr_unseen"]}
     quality = ", ".join(f"{psnr:.2f} dB on {name}" for name, psnr in known.items() if psnr is not None)
     preparation, compilation = result["preparation_s"], result["compilation_s"]
     corrected = ", a number that was corrected half-way" if result["steps_corrected"] else ""

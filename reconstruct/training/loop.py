@@ -19,10 +19,10 @@ from koala3d.reconstruct.run import Run
 from koala3d.reconstruct.scene import poses
 from koala3d.reconstruct.training import distributed
 from koala3d.reconstruct.training.beginning.starting import LOOKS, resumed, start
+from koala3d.reconstruct.training.decisions import empty_space, record
 from koala3d.reconstruct.training.event_log import event_log, require_writer
 from koala3d.reconstruct.training.pace import budget
 from koala3d.reconstruct.training.pace.pause import give_way
-from koala3d.reconstruct.training.skipping import outcome, record
 from koala3d.reconstruct.training.training import Training
 
 
@@ -80,13 +80,12 @@ def _completed(training: Training, scene: Scene, prepared: float) -> dict[str, A
         raise
     training.save()
     last = training.run.log()[-1]
-    skips = outcome.with_outcome(training.skips, last)
+    skips = empty_space.with_outcome(training.skips, last)
     record.write(out, skips)
     poses.write(out, scene, training.run.normalisation, distributed.own_copy(training.state.model.poses))
     return {
         "steps": training.clock.step,
         "steps_corrected": len(training.clock.legs) > 1,
-        "stopped_early": training.clock.progress < 1,
         "training_s": training.clock.seconds,
         "preparation_s": prepared,
         "compilation_s": compiled,
@@ -105,8 +104,7 @@ def _loop(training: Training) -> None:
         total, unit = (clock.steps, "steps") if clock.budget_s is None else (clock.budget_s, "s")
         with progress("training", total, unit) as shown:
             shown.advance(total * clock.progress)
-            stopped = bool(distributed.decided(training.exhausted))
-            while clock.progress < 1 and not stopped:
+            while clock.progress < 1:
                 before, begun = clock.progress, time.monotonic()
                 terms = training.chunk()
                 give_way(training.run.path, time.monotonic() - begun, until=interrupted)
@@ -116,7 +114,6 @@ def _loop(training: Training) -> None:
                 if clock.progress >= next_look or clock.progress >= 1:
                     shown.note(figures_of(training.look(terms)))
                     next_look = clock.progress + 1 / LOOKS
-                    stopped = bool(distributed.decided(training.exhausted))
                     warn_early(training.run.log())
                 if said[:, 1].any():
                     training.save()

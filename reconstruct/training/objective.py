@@ -9,7 +9,6 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 from koala3d.reconstruct.config import Config, LossConfig
 from koala3d.reconstruct.field.cloud import Cloud
 from koala3d.reconstruct.field.field import Field
-from koala3d.reconstruct.field.mlp import computed_in
 from koala3d.reconstruct.numerics.stepfun import resample_blurred
 from koala3d.reconstruct.rendering.model import Model, Rendered, render
 from koala3d.reconstruct.sampling.proposals import Level
@@ -21,18 +20,18 @@ from koala3d.reconstruct.scene.twists import followed
 from koala3d.reconstruct.surface.first_surface import Surface, Surfaces, find_surfaces, first_surface
 from koala3d.reconstruct.surface.place import Place
 from koala3d.reconstruct.training import losses
-from koala3d.reconstruct.training.pace.schedules import between, late
+from koala3d.reconstruct.training.schedule import Schedule
 
 Terms = dict[str, Float[Array, ""]]
 
 SATURATED = 254.5 / 255
 """sRGB from which a channel of eight bits is clipped."""
-FOGGY = 0.2
-"""Share of the training before fog counts: at the start there is nothing else."""
-SETTLED = 0.4
-"""Share of the training from which the fog of the start is gone and the shape roughly right."""
-FOLLOWING = (SETTLED, 0.8)
-"""Shares of the training between which the density follows predicted normals ever more strongly."""
+COLOUR_WIDTH = 1e-3
+"""Colour error below which the photometric loss is quadratic."""
+INTERLEVEL = 0.01
+"""Weight with which proposals follow the final level (Zip-NeRF)."""
+POSE_PRIOR = 1e-5
+"""Weight of the squared corrections of poses, in standard deviations, halved."""
 BLURS = (0.03, 0.003)
 """Half-widths of the interlevel loss's blur, in normalised distance (Zip-NeRF)."""
 
@@ -42,57 +41,50 @@ class Objective:
     """The losses of a batch. Those without a weight are not computed."""
 
     weights: LossConfig
+    schedule: Schedule
     place: Place
     surface_rays: int
     """Rays whose first surface the losses of normals look at, at most."""
     second_rays: int
     """Rays of a second pass, the first of these."""
-    first_rule: str = "median"
-    """How a first surface is found, see `first_surface`."""
-    turns_solid: bool = False
-    """Whether the rule "share" takes over from `SETTLED` on."""
-    precision: str = "float32"
     pose_sigma: tuple[float, ...] = (1.0,) * 6
     """Standard deviations of a pose's correction [scene unit, rad]."""
-    pose_prior: float = 0.0
 
     @classmethod
     def of(cls, config: Config, facts: SceneFacts, place: Place) -> "Objective":
         """As configured, for one scene."""
-        normalisation = facts.normalisation
-        weights = config.losses.in_scene(bounded=normalisation.bounded)
-        sigma = config.poses.sigma(normalisation.scale)
-        surface, precision = config.surface, config.train.precision
-        first = surface.first_in_scene(bounded=normalisation.bounded)
-        solid = surface.turns_solid(bounded=normalisation.bounded)
-        rays = surface.normal_factor * surface.rays
-        return cls(weights, place, rays, surface.rays, first, solid, precision, sigma, config.poses.prior)
+        surface, sigma = config.surface, config.poses.sigma(facts.normalisation.scale)
+        return cls(config.losses, Schedule(config), place, surface.normal_factor * surface.rays, surface.rays, sigma)
 
     def __call__(
         self, model: Model, batch: Batch, sample_key: PRNGKeyArray, background_key: PRNGKeyArray, progress: Float[Array, ""]
     ) -> tuple[Float[Array, ""], tuple[Terms, Float[Array, " n"], Surfaces]]:
         """The sum of all losses; each of them, the density of every sample, and first surfaces."""
-        model = computed_in(self.precision, model)
         rays, terms = batch.rays, {}
         moving = followed(rays, model.poses)  # poses follow the picture; where else the field is looked at is data
         found = model.sampler.sampled(batch, sample_key)
         cloud = cloud_of(moving, found.samples, space=self.place.space, footprint=found.footprint)
         rendered, density = _rendered(model, moving, found.samples, cloud)
-        if model.poses is not None and self.pose_prior:
-            terms |= pose_term(model.poses / jnp.array(self.pose_sigma), self.pose_prior)
+        if model.poses is not None:
+            terms |= pose_term(model.poses / jnp.array(self.pose_sigma), POSE_PRIOR)
         if model.per_image is not None:
             rendered = rendered.exposed(model.log_gains[rays.view])
         background = jax.random.uniform(background_key, (rays.origins.shape[0], 3))
-        terms |= photometric(
-            rendered, batch.colour, background, batch.used, self.weights.charbonnier, model.per_image is not None
-        )
+        terms |= photometric(rendered, batch.colour, background, batch.used, model.per_image is not None)
         terms |= self.ray_terms(model, rendered, density, found, progress)
-        by = lambda rule: find_surfaces(rendered.weights, found.samples, rays.radii, self.surface_rays, rule)  # noqa: E731
-        surfaces = jax.lax.stop_gradient(Surfaces(by(self.first_rule), by("share")))
-        if self.turns_solid:
-            surfaces = surfaces.solid_where(progress >= SETTLED)
-        terms |= surface_point_terms(model.field, rays, surfaces.first, self.weights, self.place, progress)
+        surfaces = self.surfaces(rendered, found.samples, rays, progress)
+        follow = self.schedule.density_normals(progress)
+        terms |= surface_point_terms(model.field, rays, surfaces.first, self.weights, self.place, follow)
         return total(terms), (terms, jax.lax.stop_gradient(density), surfaces.of_rays(self.second_rays))
+
+    def surfaces(self, rendered: Rendered, samples: RaySamples, rays: Rays, progress: Float[Array, ""]) -> Surfaces:
+        """First surfaces as data, by both rules: which one shapes follow is the schedule's."""
+        by = lambda rule: find_surfaces(rendered.weights, samples, rays.radii, self.surface_rays, rule)  # noqa: E731
+        solid, begins = jax.lax.stop_gradient(by("share")), self.schedule.config.schedule.share_from
+        if not begins:
+            return Surfaces(solid, solid)
+        found = Surfaces(jax.lax.stop_gradient(by("median")), solid)
+        return found if begins == 1 else found.solid_where(self.schedule.by_share(progress))
 
     def ray_terms(
         self, model: Model, rendered: Rendered, density: Float[Array, " n"], found: Sampled, progress: Float[Array, ""]
@@ -100,21 +92,20 @@ class Objective:
         """Losses of the weights along each ray, and the decay of the tables."""
         weights, terms = self.weights, {}
         if found.edges is not None:
-            terms |= interlevel_term(found.edges, rendered.weights, found.levels, weights.interlevel)
+            terms |= interlevel_term(found.edges, rendered.weights, found.levels)
         if weights.distortion:
             terms |= distortion_term(rendered, found.samples, weights.distortion)
         if weights.hollowness:
-            weight = weights.hollowness * late(progress, start=weights.hollow_from)
-            terms |= hollowness_term(rendered, density, found.samples, weight)
+            terms |= hollowness_term(rendered, density, found.samples, self.schedule.hollowness(progress))
         if weights.fog:
-            terms |= fog_term(rendered, found.samples, weights.fog * (progress >= FOGGY))
+            terms |= fog_term(rendered, found.samples, self.schedule.fog(progress))
         if weights.decay:
             terms |= decay_term(model, weights.decay)
         return terms
 
 
 def _rendered(model: Model, rays: Rays, samples: RaySamples, cloud: Cloud) -> tuple[Rendered, Float[Array, " n"]]:
-    return render(model.field, rays, samples, replace(cloud, followed=model.poses is not None), model.caster)
+    return render(model.field, rays, samples, replace(cloud, followed=model.poses is not None))
 
 
 def photometric(
@@ -122,12 +113,13 @@ def photometric(
     colour: Float[Array, "rays 4"],
     background: Float[Array, "rays 3"],
     used: Bool[Array, " rays"],
-    width: float,
     clips: bool = False,
+    width: float = COLOUR_WIDTH,
 ) -> Terms:
     """Charbonnier loss and mean square error of the rays that were rendered.
 
     Args:
+        width: error below which the loss is quadratic.
         clips: whether exposure differs, so that a saturated channel tells no more than the least light that it had.
     """
     error = rendered.over(background) - over(colour, background)
@@ -139,14 +131,16 @@ def photometric(
 
 
 def surface_point_terms(
-    field: Field, rays: Rays, surface: Surface, weights: LossConfig, place: Place, progress: Float[Array, ""]
+    field: Field, rays: Rays, surface: Surface, weights: LossConfig, place: Place, follow: float | Float[Array, ""]
 ) -> Terms:
-    """Orientation and predicted normals at the first surface of each ray, as far as they have a weight.
+    """Orientation and predicted normals at the first surface of each ray, if they have a weight.
 
-    The reflection shows early where predicted normals are wrong, and late that they are right: then the density may follow them.
+    Args:
+        follow: weight with which the density's normals follow the predicted ones, at this time.
     """
-    last = weights.density_normals if weights.last_density_normals is None else weights.last_density_normals
-    alike = (weights.predicted_normals or weights.density_normals or last) and field.appearance.predicts_normals
+    alike = (
+        weights.predicted_normals or weights.density_normals or weights.last_density_normals
+    ) and field.appearance.predicts_normals
     if not (weights.orientation or alike):
         return {}
     _, material, normals = field.with_normals(place.of(rays, surface))
@@ -155,7 +149,6 @@ def surface_point_terms(
     if field.appearance.predicts_normals:
         facing = facing + losses.orientation(material.normals_pred, viewdirs)
         held, held_pred = jax.lax.stop_gradient((normals, material.normals_pred))
-        follow = between(progress, first=weights.density_normals, last=last, over=FOLLOWING)
         terms["predicted_normals"] = surface.mean(
             weights.predicted_normals * losses.normal_difference(held, material.normals_pred)
             + follow * losses.normal_difference(normals, held_pred)
@@ -163,15 +156,13 @@ def surface_point_terms(
     return terms | {"orientation": weights.orientation * surface.mean(facing)}
 
 
-def interlevel_term(
-    sdist: Float[Array, "rays edges"], weights: Float[Array, "rays n"], levels: tuple[Level, ...], weight: float
-) -> Terms:
+def interlevel_term(sdist: Float[Array, "rays edges"], weights: Float[Array, "rays n"], levels: tuple[Level, ...]) -> Terms:
     """Proposals follow the final level's blurred weights."""
     total = jnp.zeros(())
     for (edges, proposed), blur in zip(levels, BLURS, strict=True):
         target = resample_blurred(edges, sdist, jax.lax.stop_gradient(weights), blur)
         total = total + jnp.mean(losses.interlevel(target, proposed))
-    return {"interlevel": weight * total}
+    return {"interlevel": INTERLEVEL * total}
 
 
 def distortion_term(rendered: Rendered, samples: RaySamples, weight: float) -> Terms:

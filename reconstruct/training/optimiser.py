@@ -9,12 +9,12 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Bool, Float
 
-from koala3d.reconstruct.config import Config, PoseConfig, TrainConfig
+from koala3d.reconstruct.config import Config
 from koala3d.reconstruct.kernels import adam
 from koala3d.reconstruct.rendering.model import Model
 from koala3d.reconstruct.scene.facts import SceneFacts
 from koala3d.reconstruct.scene.twists import without_gauge
-from koala3d.reconstruct.training.pace.schedules import late, learning_rate
+from koala3d.reconstruct.training.schedule import Schedule
 
 DECAYS, SMALLEST = (0.9, 0.99), 1e-15
 """Of Adam: what its mean and its mean square keep of the steps before, and what is added to the root of the latter."""
@@ -42,15 +42,16 @@ def descent(gradient: Any, moments: Any, finite: Bool[Array, ""]) -> tuple[Any, 
 class Optimiser:
     """One step down a gradient. Takes and returns what is learned of a model (`Model.split`)."""
 
-    train: TrainConfig
-    poses: PoseConfig
+    schedule: Schedule
+    network_share: float
+    """Learning rate of networks, of that of tables."""
     pose_sigma: tuple[float, ...]
     """Standard deviations of a pose's correction [scene unit, rad]."""
 
     @classmethod
     def of(cls, config: Config, facts: SceneFacts) -> "Optimiser":
         """As configured, for one scene."""
-        return cls(config.train, config.poses, config.poses.sigma(facts.normalisation.scale))
+        return cls(Schedule(config), config.train.network_share, config.poses.sigma(facts.normalisation.scale))
 
     def begin(self, learned: Model) -> optax.OptState:
         """Moments before the first step."""
@@ -70,8 +71,7 @@ class Optimiser:
         Args:
             origins: the cameras' positions.
         """
-        train, state = self.train, _parameters(moments)
-        rate = learning_rate(progress, rate=train.rate, final_rate=train.final_rate, warmup=train.warmup)
+        state, rate = _parameters(moments), self.schedule.rate(progress)
         tables = jax.tree.map_with_path(lambda path, p: _is_table(path) and adam.takes(p), learned)
         trees = [eqx.partition(tree, tables) for tree in (gradient, learned, state.mu, state.nu)]
         others = self._others([rest for _, rest in trees], state.count, rate, progress, finite, origins)
@@ -95,18 +95,13 @@ class Optimiser:
         new = jax.tree.map(lambda p, u, r: p - r * u, learned, update, rates)
         if learned.poses is not None:
             sigma = jnp.array(self.pose_sigma)
-            step = self._pose_rate(progress) * without_gauge(_parameters(update).poses, origins, sigma)
+            step = self.schedule.pose_rate(progress) * without_gauge(_parameters(update).poses, origins, sigma)
             new = eqx.tree_at(lambda m: m.poses, new, jnp.where(finite, learned.poses - step * sigma, learned.poses))
         return [new, _parameters(moments).mu, _parameters(moments).nu]
 
     def _share(self, path: tuple[Any, ...]) -> float:
         """Factor on the learning rate of the parameter at `path`."""
-        return 1.0 if _is_table(path) else self.train.network_share
-
-    def _pose_rate(self, progress: Float[Array, ""]) -> Float[Array, ""]:
-        """Learning rate of poses, in the standard deviations of their corrections."""
-        rate = learning_rate(progress, rate=self.poses.rate, final_rate=self.poses.final_rate, warmup=0.0)
-        return late(progress, start=self.poses.start) * rate
+        return 1.0 if _is_table(path) else self.network_share
 
 
 def _with_tables(

@@ -14,6 +14,8 @@ from koala3d.reconstruct.scene.facts import SceneFacts
 from koala3d.reconstruct.scene.rays import Pixels
 from koala3d.reconstruct.training.step import Step
 
+LEAST = 2**18
+"""Samples that a batch has at least on an accelerator, if they fit."""
 SHARE = 0.9
 """Share of the device's memory that a step may take."""
 FEWEST = 256
@@ -26,7 +28,7 @@ def scaled(config: Config, rays: int) -> Config:
     The linear scaling rule (Goyal et al. 2017), as in the paper. Second passes keep their number: their periods grow k-fold.
     """
     factor = config.sampler.rays / rays
-    train, surface, poses = config.train, config.surface, config.poses
+    train, surface = config.train, config.surface
 
     def period(steps: int) -> int:
         return max(1, 2 ** round(jnp.log2(steps * factor).item()))
@@ -43,7 +45,6 @@ def scaled(config: Config, rays: int) -> Config:
             "final_rate": train.final_rate / factor,
             "steps": round(train.steps * factor),
         },
-        "poses": {"rate": poses.rate / factor, "final_rate": poses.final_rate / factor},
     }
     sections = {name: getattr(config, name).model_copy(update=values) for name, values in changed.items()}
     return config.model_copy(update=sections)
@@ -57,7 +58,7 @@ def sized(config: Config, facts: SceneFacts, pixels: Pixels) -> Config:
 
 
 def grown(config: Config, facts: SceneFacts, pixels: Pixels, limit: int | None = None) -> Config:
-    """The configuration with rays and samples doubled until a batch has `sampler.least` samples, as long as it fits.
+    """The configuration with rays and samples doubled until a batch has `LEAST` samples, while it fits.
 
     Steps and learning rate stay: a larger batch has less noise, and Adam's step does not grow with it.
 
@@ -65,7 +66,7 @@ def grown(config: Config, facts: SceneFacts, pixels: Pixels, limit: int | None =
         limit: bytes that a step may take; None asks the device.
     """
     limit = memory_limit() if limit is None else limit
-    doublings = max(0, math.ceil(math.log2(max(1, config.sampler.least) / samples_of(config.sampler))))
+    doublings = max(0, math.ceil(math.log2(max(1, LEAST) / samples_of(config.sampler))))
     while doublings:
         factor, sampler, surface = 2**doublings, config.sampler, config.surface
         sizes = {"rays": factor * sampler.rays, "samples": factor * sampler.samples}

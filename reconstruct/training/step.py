@@ -12,7 +12,6 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from numpy.typing import NDArray
 
 from koala3d.reconstruct.config import Config
-from koala3d.reconstruct.field.mlp import computed_in
 from koala3d.reconstruct.numerics.compiling import barrier, compiler_options
 from koala3d.reconstruct.rendering.model import Model
 from koala3d.reconstruct.sampling.create import sampler_type
@@ -23,10 +22,10 @@ from koala3d.reconstruct.surface.place import Place
 from koala3d.reconstruct.surface.second_pass import SecondPass
 from koala3d.reconstruct.training.batches import ONE_DEVICE, Division, drawn_batch
 from koala3d.reconstruct.training.faults import FAULTS, finite_parts, packed
-from koala3d.reconstruct.training.objective import SETTLED, Objective, Terms, total
+from koala3d.reconstruct.training.objective import Objective, Terms, total
 from koala3d.reconstruct.training.optimiser import Optimiser
-from koala3d.reconstruct.training.pace.schedules import encoding_blur, late
 from koala3d.reconstruct.training.programs import Programs, traced
+from koala3d.reconstruct.training.schedule import Schedule
 
 UPKEEP = 16
 """Folded into the random key of a sampler's upkeep."""
@@ -63,6 +62,7 @@ class Step:
     objective: Objective
     second_pass: SecondPass | None
     optimiser: Optimiser
+    schedule: Schedule
     division: Division = ONE_DEVICE
 
     @classmethod
@@ -76,6 +76,7 @@ class Step:
             Objective.of(config, facts, place),
             SecondPass(place, config.surface) if config.surface.enabled else None,
             Optimiser.of(config, facts),
+            Schedule(config),
         )
 
     def initial(self, key: PRNGKeyArray, possible: NDArray[Any] | None = None, views: int = 0) -> TrainState:
@@ -106,10 +107,7 @@ class Step:
 
     def _blurred(self, model: Model, progress: Float[Array, ""]) -> Model:
         """The model as it is trained at this time."""
-        train = self.config.train
-        blur = encoding_blur(progress, first=train.first_blur, last=train.last_blur, until=train.blur_until)
-        cast = late(progress, start=self.config.light.cast_from)
-        return model.blurred(blur.astype(jnp.float32)).casting_with(cast.astype(jnp.float32))
+        return model.blurred(self.schedule.blur(progress).astype(jnp.float32))
 
     def begun(
         self,
@@ -146,17 +144,16 @@ class Step:
         """The same batch with the gradient and the terms of the regularisers' second pass."""
         learned, held = self._blurred(model, progress).split()
         surfaces, key = self.division.spread_evenly(part.surfaces), self._keys(step, seed, index)["sphere"]
-        formed = late(progress, start=SETTLED).astype(jnp.float32)
-        (_, terms), more = _with_second_pass(self._weighted, learned, held, part.rays, surfaces, key, formed)
+        bias = self.schedule.bias(progress).astype(jnp.float32)
+        (_, terms), more = _with_second_pass(self._weighted, learned, held, part.rays, surfaces, key, bias)
         return replace(part, gradient=jax.tree.map(jnp.add, part.gradient, more), terms=part.terms | terms)
 
     def _weighted(
-        self, learned: Model, held: Model, rays: Rays, surfaces: Surfaces, key: PRNGKeyArray, formed: Float[Array, ""]
+        self, learned: Model, held: Model, rays: Rays, surfaces: Surfaces, key: PRNGKeyArray, bias: Float[Array, ""]
     ) -> tuple[Float[Array, ""], Terms]:
         """Sum and terms of the second pass."""
         assert self.second_pass is not None
-        model = computed_in(self.config.train.precision, eqx.combine(learned, held))
-        terms = self.second_pass.terms(model.field, rays, surfaces, key, formed)
+        terms = self.second_pass.terms(eqx.combine(learned, held).field, rays, surfaces, key, bias)
         return total(terms), terms
 
     def descended(

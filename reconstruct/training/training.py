@@ -13,23 +13,20 @@ from koala3d.datasets.core.console import hint
 from koala3d.reconstruct import checkpoint
 from koala3d.reconstruct.errors import ReconstructError
 from koala3d.reconstruct.rendering.pictures import Renderer
-from koala3d.reconstruct.rendering.probe import Probe, held_out_psnr
+from koala3d.reconstruct.rendering.probe import Probe
 from koala3d.reconstruct.run import CHECKPOINTS, Run
 from koala3d.reconstruct.scene.pool import Pool
 from koala3d.reconstruct.scene.rays import Pixels
-from koala3d.reconstruct.surface.second_pass import second_pass_period
 from koala3d.reconstruct.training import distributed
+from koala3d.reconstruct.training.decisions.skip import Skip
 from koala3d.reconstruct.training.event_log import EventLog
 from koala3d.reconstruct.training.faults import FAULTS, RECURS, cause
 from koala3d.reconstruct.training.pace.budget import Plan
 from koala3d.reconstruct.training.pace.clock import Clock
-from koala3d.reconstruct.training.skipping import record
 from koala3d.reconstruct.training.step import Step, TrainState
 
 CHUNK = 16
 """Largest number of steps between two checks of the clock."""
-WORTH_DB = 0.02
-"""Improvement of held-out pixels by which a training counts as still improving [dB]."""
 
 
 @dataclass
@@ -43,10 +40,8 @@ class Training:
     probe: Probe | None
     clock: Clock
     renderer: Renderer
-    held: Pixels | None = None
-    """Pixels of training views that are never trained on, like `probe`: an early stop is decided by them."""
     pool: Pool | None = None  # what renews `pixels`, where they are only a part of all
-    skips: list[record.Skip] = field(default_factory=list)
+    skips: list[Skip] = field(default_factory=list)
     """What is left out, and why."""
     events: EventLog | None = None
     """Where each look goes beside the run's log."""
@@ -62,8 +57,8 @@ class Training:
         Returns:
             The last step's terms, or where they were not finite those of the last chunk that was; empty before there is one.
         """
-        surface, clock = self.run.config.surface, self.clock
-        period = second_pass_period(clock.progress, first=surface.first_period, last=surface.last_period)
+        surface, clock, schedule = self.run.config.surface, self.clock, self.one_step.schedule
+        period = schedule.second_pass_period(clock.progress)
         left = CHUNK if clock.left is None else min(CHUNK, clock.left)
         until_due = period - clock.since_second_pass if surface.enabled else left
         count = max(1, min(left, until_due))
@@ -74,7 +69,7 @@ class Training:
             self.pixels = self.pool.renewed(self.pixels, clock.step)
         self.state, terms = self.advance(self.state, self.pixels, seed, done, count, second)
         clock.since_look += count
-        if self.state.model.sampler.upkeep_due(clock.since_look, clock.progress):
+        if schedule.rules_out_cells(clock.progress) and self.state.model.sampler.upkeep_due(clock.since_look):
             self.state = self.keep_up(self.state, seed)
             clock.since_look = 0
         jax.block_until_ready(terms)
@@ -126,26 +121,12 @@ class Training:
             line["psnr_train"] = -10 * float(np.log10(max(float(terms["mse"]), 1e-10)))
         if self.probe is not None:
             line["psnr_unseen"] = self.probe.psnr(model, self.renderer)
-        if self.held is not None:
-            line["psnr_held_out"] = held_out_psnr(self.held, model, self.renderer)
         line |= {"skipped": int(state.skipped), "terms": {k: float(v) for k, v in terms.items()}}
         line |= model.sampler.figures()
         self.run.append_log(line)
         if self.events is not None:
             self.events.write(line)
         return line
-
-    @property
-    def exhausted(self) -> bool:
-        """Whether held-out pixels got no better for as long as the configuration has patience."""
-        measured = [(line["psnr_held_out"], line["progress"]) for line in self.run.log() if "psnr_held_out" in line]
-        if self.held is None or not measured:
-            return False
-        best, since = measured[0]
-        for psnr, done in measured[1:]:
-            if psnr > best + WORTH_DB:
-                best, since = psnr, done
-        return measured[-1][1] - since >= self.run.config.train.patience
 
     def save(self) -> None:
         """Checkpoint state and clock, where this process is the one that does."""

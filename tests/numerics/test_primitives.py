@@ -31,7 +31,7 @@ from koala3d.reconstruct.scene.rays import Rays
 from koala3d.reconstruct.scene.space import BALL, BOX
 from koala3d.reconstruct.surface import first_surface, regularisers
 from koala3d.reconstruct.training import losses
-from koala3d.reconstruct.training.pace.schedules import encoding_blur, learning_rate
+from koala3d.reconstruct.training.schedule import encoding_blur, learning_rate
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "numerics.md"
 RNG = np.random.default_rng(0)
@@ -88,7 +88,7 @@ def grid_values(kind: type) -> Callable[[jax.Array], Any]:
     table = np.asarray(1e4 * made.table, np.float64)
 
     def evaluate(points: jax.Array) -> jax.Array:
-        return kind(jnp.asarray(table, points.dtype), jnp.zeros((), points.dtype), made.resolutions, made.log2_sizes)(points)
+        return kind(jnp.asarray(table, points.dtype), jnp.zeros((), points.dtype), made.resolutions, made.log2_size)(points)
 
     return evaluate
 

@@ -27,7 +27,6 @@ SMALL = [
     "sampler.rays=128",
     "sampler.samples=1024",
     "sampler.grid=16",
-    "sampler.outer_grid=8",
     "sampler.steps=32",
     "sampler.max_per_ray=8",
     "surface.rays=16",

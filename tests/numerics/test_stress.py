@@ -25,7 +25,7 @@ SMALL = models.merged(
     {
         "encoding": {"finest": 32.0},
         "field": {"spatial_width": 8, "view_width": 8, "ide_degree": 3, "view_depth": 2, "view_skip": 0},
-        "sampler": {"samples": 768, "grid": 16, "outer_grid": 8},
+        "sampler": {"samples": 768, "grid": 16},
     },
 )
 PICTURES: dict[str, Callable[[np.random.Generator], np.ndarray]] = {
@@ -77,7 +77,6 @@ def settings_of(rng: np.random.Generator, model: str, preset: str) -> tuple[Conf
             "distortion": varied(0.01),
             "hollowness": varied(0.1),
             "decay": varied(0.1),
-            "charbonnier": varied(1e-3),
         },
         "surface": {
             "density": varied(0.1),
@@ -85,7 +84,6 @@ def settings_of(rng: np.random.Generator, model: str, preset: str) -> tuple[Conf
             "bias": varied(0.01),
             "variation": varied(1e-3),
             "density_form": str(rng.choice(["tangent", "published"])),
-            "kappa": float(rng.choice([0, 1, 1e6])),
             "reach": varied(3.0),
         },
         "field": {"density_bias": float(rng.uniform(-4, 6)), "outward": float(rng.choice([0, 1]))},

@@ -23,7 +23,6 @@ from koala3d.reconstruct.field.appearance import Material, Shading
 from koala3d.reconstruct.field.cloud import Cloud
 from koala3d.reconstruct.field.field import Field
 from koala3d.reconstruct.field.lit import Lit
-from koala3d.reconstruct.field.near import Near
 from koala3d.reconstruct.kernels import native
 from koala3d.reconstruct.models import load_config
 from koala3d.reconstruct.numerics.safe import srgb_from_linear
@@ -83,7 +82,7 @@ class Ball(Field):
         viewdirs: jax.Array,
         normals: jax.Array | None = None,
         light: Lit | None = None,
-        near: Near | None = None,
+        places: jax.Array | None = None,
     ) -> Shading:
         """As `Field.shade`: the same light in all directions."""
         specular = jnp.broadcast_to(jnp.asarray(SPECULAR, jnp.float32)[:, None], viewdirs.shape)

@@ -23,10 +23,10 @@ def test_every_listed_default_is_accepted_by_set_and_changes_nothing() -> None:
     [
         ("encoding.kind", "lattice|voxels|frequencies", "lattice"),
         ("encoding.levels", "int >= 1, <= 32", 8),
-        ("encoding.volume", "float > 0|null", None),
+        ("light.parallax", "learned|float > 1|null", None),
         ("sampler.steps", "int >= 32, multiple of 32", 192),
         ("sampler.proposals", "[int, ...]", (64, 64)),
-        ("skip.distortion", "true|false", True),
+        ("skip.contraction", "true|false", True),
     ],
 )
 def test_types_and_defaults(key: str, kind: str, default: object) -> None:

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from koala3d.reconstruct.field.encodings import tables
 from koala3d.reconstruct.field.encodings.encoding import Scale
-from koala3d.reconstruct.field.encodings.tables import fitting_sizes, mean_squares, resolutions_between, start_values
+from koala3d.reconstruct.field.encodings.tables import mean_squares, resolutions_between, start_values
 from koala3d.reconstruct.numerics.compiling import barrier
 
 
@@ -24,30 +24,20 @@ class HashedGrid(eqx.Module):
     """Standard deviation that every point has at least; see `Encoding`."""
     resolutions: tuple[float, ...] = eqx.field(static=True)
     """Vertices per unit length of each level, or for other cells than cubes as many per volume as cubes of that spacing."""
-    log2_sizes: tuple[int, ...] = eqx.field(static=True)
+    log2_size: int = eqx.field(static=True)
     """Rows of each level, as a power of two."""
 
     @classmethod
     def create(
-        cls,
-        key: PRNGKeyArray,
-        *,
-        levels: int,
-        features: int,
-        log2_size: int,
-        coarsest: float,
-        finest: float,
-        volume: float | None = None,
+        cls, key: PRNGKeyArray, *, levels: int, features: int, log2_size: int, coarsest: float, finest: float
     ) -> "HashedGrid":
         """Tables of uniform values within 1e-4; resolutions grow geometrically from `coarsest` to `finest`.
 
         Args:
             log2_size: rows of a level's table, as a power of two.
-            volume: where anything can be; see `fitting_sizes`.
         """
         resolutions = resolutions_between(coarsest, finest, levels)
-        sizes = fitting_sizes(resolutions, log2_size, volume)
-        return cls(start_values(key, features, sizes), jnp.zeros(()), resolutions, sizes)
+        return cls(start_values(key, features, levels, log2_size), jnp.zeros(()), resolutions, log2_size)
 
     @property
     def num_channels(self) -> int:
@@ -77,7 +67,7 @@ class HashedGrid(eqx.Module):
 
     def decay(self) -> Float[Array, ""]:
         """Sum over levels of the mean square of the table's values (Zip-NeRF, Barron et al. 2023, section 3)."""
-        return mean_squares(self.table, self.log2_sizes)
+        return mean_squares(self.table, len(self.resolutions))
 
     @abstractmethod
     def located(self, points: Float[Array, "3 n"], scale: Scale | None, *, with_slopes: bool) -> tuple[list, list]:

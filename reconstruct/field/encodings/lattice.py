@@ -29,7 +29,7 @@ from koala3d.reconstruct.numerics.compiling import barrier
 from koala3d.reconstruct.numerics.lattice_constants import PRIMES
 
 
-def table_rows(e: list, code: Int[Array, "levels n"], log2_sizes: tuple[int, ...]) -> list[Int[Array, "levels n"]]:
+def table_rows(e: list, code: Int[Array, "levels n"], log2_size: int) -> list[Int[Array, "levels n"]]:
     """Rows of the four vertices in the levels' tables: a linear hash of three coordinates, then a mixing step.
 
     Vertex k is 4 * origin + k, minus 4 in the coordinates whose rank exceeds 3 - k, so that its hash differs from the
@@ -37,14 +37,14 @@ def table_rows(e: list, code: Int[Array, "levels n"], log2_sizes: tuple[int, ...
     """
     steps = [np.uint32(4 * p % 2**32) for p in PRIMES]
     base = cast(Array, sum(origin_of(e, code, i).astype(jnp.uint32) * step for i, step in enumerate(steps)))
-    start = starts(log2_sizes)
+    start = starts(base.shape[0], log2_size)
     rows = []
     for k in range(4):
         key = base + np.uint32(k * sum(PRIMES) % 2**32)
         if k:
             for i, step in enumerate(steps):
                 key = key - jnp.where(rank_of(code, i) > 3 - k, step, np.uint32(0))
-        rows.append(row_of(key, log2_sizes) + start)
+        rows.append(row_of(key, log2_size) + start)
     return rows
 
 
@@ -73,7 +73,8 @@ class PermutohedralLattice(HashedGrid):
         resolution = np.array(self.resolutions, np.float32)
         share = ball_share(blurred(self.blur, scale), resolution[:, None])
         units = resolution * np.float32(VERTICES_PER_UNIT_VOLUME)
-        sizes = np.stack([np.array(self.log2_sizes, np.int32), starts(self.log2_sizes)[:, 0]])
+        first = starts(len(self.resolutions), self.log2_size)[:, 0]
+        sizes = np.stack([np.full_like(first, self.log2_size), first])
         return encode(self.table, jax.lax.stop_gradient(points), share, units, sizes, with_slopes=with_slopes)
 
     def located(self, points, scale, *, with_slopes: bool) -> tuple[list, list]:
@@ -85,7 +86,7 @@ class PermutohedralLattice(HashedGrid):
         resolution = np.array(self.resolutions, np.float32)[:, None]
         share = barrier(ball_share(blurred(self.blur, scale), resolution))
         coefficients = [[c * share for c in one] for one in coefficients]
-        return barrier((table_rows(e, code, self.log2_sizes), coefficients))
+        return barrier((table_rows(e, code, self.log2_size), coefficients))
 
 
 def ball_share(sigma: Float[Array, " n"], resolution: Float[np.ndarray, "..."]) -> Float[Array, "... n"]:

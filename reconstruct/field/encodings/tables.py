@@ -1,6 +1,6 @@
 """Hashed tables of features, whatever the grid whose vertices they belong to.
 
-Vocabulary: a table holds the channels of all levels, one level after the other; log2_sizes, the number of rows of each level as
+Vocabulary: a table holds the channels of all levels, one level after the other; log2_size, the number of rows of each level as
 a power of two; rows and coefficients are lists with one (levels, n) array per vertex around a point.
 """
 
@@ -13,9 +13,6 @@ from koala3d.reconstruct.kernels.squares import sum_of_squares
 from koala3d.reconstruct.numerics.compiling import barrier
 from koala3d.reconstruct.numerics.lattice_constants import MIXER
 
-HEADROOM, SMALLEST = 4, 8
-"""Rows per vertex that a small table has, so that few of them share one; and its smallest size, as a power of two."""
-
 
 def resolutions_between(coarsest: float, finest: float, levels: int) -> tuple[float, ...]:
     """`levels` numbers that grow geometrically from `coarsest` to `finest`."""
@@ -23,41 +20,25 @@ def resolutions_between(coarsest: float, finest: float, levels: int) -> tuple[fl
     return tuple(float(coarsest * growth**level) for level in range(levels))
 
 
-def fitting_sizes(resolutions: tuple[float, ...], log2_size: int, volume: float | None) -> tuple[int, ...]:
-    """Rows of each level as a power of two: at most `log2_size`, fewer where so many vertices do not exist.
-
-    Args:
-        volume: where anything can be [scene unit^3]; None takes full tables.
-    """
-    if volume is None:
-        return (log2_size,) * len(resolutions)
-    vertices = (volume ** (1 / 3) * np.array(resolutions) + 1) ** 3
-    wanted = np.ceil(np.log2(HEADROOM * vertices)).astype(int)
-    return tuple(int(size) for size in np.clip(wanted, min(log2_size, SMALLEST), log2_size))
-
-
-def start_values(key: PRNGKeyArray, features: int, log2_sizes: tuple[int, ...]) -> Float[Array, "features rows"]:
+def start_values(key: PRNGKeyArray, features: int, levels: int, log2_size: int) -> Float[Array, "features rows"]:
     """A table of uniform values within 1e-4."""
-    return jax.random.uniform(key, (features, sum(2**size for size in log2_sizes)), minval=-1e-4, maxval=1e-4)
+    return jax.random.uniform(key, (features, levels * 2**log2_size), minval=-1e-4, maxval=1e-4)
 
 
-def mean_squares(table: Float[Array, "features rows"], log2_sizes: tuple[int, ...]) -> Float[Array, ""]:
+def mean_squares(table: Float[Array, "features rows"], levels: int) -> Float[Array, ""]:
     """Sum over levels of the mean square of the values (Zip-NeRF, Barron et al. 2023, section 3)."""
-    if len(set(log2_sizes)) == 1:
-        return len(log2_sizes) * sum_of_squares(table) / table.size
-    ends = np.cumsum([2**size for size in log2_sizes])
-    return sum((sum_of_squares(part) / part.size for part in jnp.split(table, ends[:-1], 1)), jnp.zeros(()))
+    return levels * sum_of_squares(table) / table.size
 
 
-def starts(log2_sizes: tuple[int, ...]) -> Int[np.ndarray, "levels 1"]:
+def starts(levels: int, log2_size: int) -> Int[np.ndarray, "levels 1"]:
     """First row of each level."""
-    return np.cumsum([0, *(2**size for size in log2_sizes[:-1])], dtype=np.int32)[:, None]
+    return np.arange(levels, dtype=np.int32)[:, None] << log2_size
 
 
-def row_of(key: UInt32[Array, "levels n"], log2_sizes: tuple[int, ...]) -> Int[Array, "levels n"]:
+def row_of(key: UInt32[Array, "levels n"], log2_size: int) -> Int[Array, "levels n"]:
     """Row within its level of a vertex whose coordinates were hashed linearly: a mixing step, then the upper bits."""
     key = (key ^ (key >> np.uint32(15))) * MIXER
-    return (key >> (32 - np.array(log2_sizes, np.uint32))[:, None]).astype(jnp.int32)
+    return (key >> np.uint32(32 - log2_size)).astype(jnp.int32)
 
 
 def combine(table: Float[Array, "features rows"], rows: list, coefficients: list) -> list:

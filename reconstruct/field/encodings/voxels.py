@@ -35,15 +35,15 @@ class VoxelGrid(HashedGrid):
         share = barrier(cube_share(blurred(self.blur, scale), units))
         coefficients = [[c * share for c in one] for one in coefficients]
         whole = [low.astype(jnp.int32) for low in lowest]
-        return barrier((table_rows(whole, self.log2_sizes), coefficients))
+        return barrier((table_rows(whole, self.log2_size), coefficients))
 
 
-def table_rows(lowest: list[Int[Array, "levels n"]], log2_sizes: tuple[int, ...]) -> list[Int[Array, "levels n"]]:
+def table_rows(lowest: list[Int[Array, "levels n"]], log2_size: int) -> list[Int[Array, "levels n"]]:
     """Rows of the eight vertices in the order of `CORNERS`: a linear hash of the coordinates, then a mixing step."""
     base = cast(Array, sum(v.astype(jnp.uint32) * np.uint32(p) for v, p in zip(lowest, PRIMES, strict=True)))
-    start = starts(log2_sizes)
+    start = starts(base.shape[0], log2_size)
     steps = [sum(offset * p for offset, p in zip(corner, PRIMES, strict=True)) % 2**32 for corner in CORNERS]
-    return [row_of(base + np.uint32(step), log2_sizes) + start for step in steps]
+    return [row_of(base + np.uint32(step), log2_size) + start for step in steps]
 
 
 def trilinear(upper: list[Float[Array, "levels n"]]) -> list[Float[Array, "levels n"]]:

@@ -11,7 +11,6 @@ from koala3d.datasets.core.console import progress
 from koala3d.reconstruct.field.cloud import Cloud
 from koala3d.reconstruct.field.field import Field
 from koala3d.reconstruct.field.lit import Lit
-from koala3d.reconstruct.field.near import Near
 from koala3d.reconstruct.numerics.compiling import compiled
 from koala3d.reconstruct.numerics.safe import normalise
 from koala3d.reconstruct.output.trained_model import TrainedModel
@@ -95,7 +94,7 @@ def _colour(
 ) -> Float[Array, "3 n"]:
     _, material = field(Cloud(points, None, space))
     light = Lit.towards(frame, -normals)
-    return field.shade(field.lit(material, light), -normals, light=light, near=Near(points)).rgb
+    return field.shade(field.lit(material, light), -normals, light=light, places=points).rgb
 
 
 @compiled

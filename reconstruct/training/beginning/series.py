@@ -16,7 +16,7 @@ from koala3d.reconstruct.errors import ReconstructError
 from koala3d.reconstruct.run import CHECKPOINTS, Run
 from koala3d.reconstruct.scene.facts import SceneFacts
 from koala3d.reconstruct.scene.rays import Normalisation
-from koala3d.reconstruct.training.skipping.plan import normalisation_of
+from koala3d.reconstruct.training.decisions.decide import normalisation_of
 from koala3d.reconstruct.training.step import TrainState
 
 WEIGHTS = "weights_from"

@@ -15,11 +15,12 @@ from koala3d.reconstruct.config import Config
 from koala3d.reconstruct.rendering.pictures import Renderer
 from koala3d.reconstruct.run import CHECKPOINTS, Run, copies_beside
 from koala3d.reconstruct.training.beginning.series import WEIGHTS, facts_of_series, with_weights
+from koala3d.reconstruct.training.decisions import record
+from koala3d.reconstruct.training.decisions.decide import normalisation_of
+from koala3d.reconstruct.training.decisions.skip import Skip
 from koala3d.reconstruct.training.pace.budget import Plan
 from koala3d.reconstruct.training.pace.clock import Clock
 from koala3d.reconstruct.training.preparation import Prepared, prepare
-from koala3d.reconstruct.training.skipping import record
-from koala3d.reconstruct.training.skipping.plan import normalisation_of
 from koala3d.reconstruct.training.step import TrainState
 from koala3d.reconstruct.training.training import Training
 
@@ -109,7 +110,7 @@ def _require_room(out: Path, state: TrainState) -> None:
     require_room(out, checkpoints * checkpoint.state_bytes(state) + LOOKS * LINE_BYTES, "the checkpoints and the log")
 
 
-def _training(run: Run, prepared: Prepared, state: TrainState, clock: Clock, skips: list[record.Skip]) -> Training:
-    step, _, pixels, probe, held, pool, _ = prepared
+def _training(run: Run, prepared: Prepared, state: TrainState, clock: Clock, skips: list[Skip]) -> Training:
+    step, _, pixels, probe, pool, _ = prepared
     renderer = Renderer(run.normalisation, light=run.facts.light)
-    return Training(run, step, state, pixels, probe, clock, renderer, held, pool, skips)
+    return Training(run, step, state, pixels, probe, clock, renderer, pool, skips)

@@ -12,10 +12,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from koala3d.reconstruct.config import SurfaceConfig
-from koala3d.reconstruct.surface.second_pass import second_pass_period
 from koala3d.reconstruct.training import distributed
 from koala3d.reconstruct.training.pace.clock import Clock, Leg
+from koala3d.reconstruct.training.schedule import Schedule
 
 if TYPE_CHECKING:
     from koala3d.reconstruct.training.training import Training
@@ -53,27 +52,27 @@ class Plan:
         """For run.json."""
         return asdict(self)
 
-    def step_s(self, surface: SurfaceConfig, begin: float) -> float:
+    def step_s(self, schedule: Schedule, begin: float) -> float:
         """Mean time of a step from this progress to the end: second passes become more frequent."""
-        if not surface.enabled:
+        if not schedule.config.surface.enabled:
             return self.plain_s
         places = begin + (1 - begin) * (np.arange(256) + 0.5) / 256
-        periods = [second_pass_period(place, first=surface.first_period, last=surface.last_period) for place in places]
+        periods = [schedule.second_pass_period(place) for place in places]
         share = float(np.mean(1 / np.array(periods, np.float64)))
         return self.plain_s + share * (self.second_s - self.plain_s)
 
-    def leg(self, clock: Clock, surface: SurfaceConfig, begin: float, rate: float = 1.0) -> Leg:
+    def leg(self, clock: Clock, schedule: Schedule, begin: float, rate: float = 1.0) -> Leg:
         """From now to the end of the budget, on a machine whose steps take `rate` times as long as in the trial."""
         assert clock.budget_s is not None
-        step_s = rate * self.step_s(surface, begin)
+        step_s = rate * self.step_s(schedule, begin)
         return Leg(clock.step, begin, clock.step + max(1, round((clock.budget_s - clock.seconds) / step_s)))
 
-    def corrected(self, clock: Clock, surface: SurfaceConfig) -> "Plan":
+    def corrected(self, clock: Clock, schedule: Schedule) -> "Plan":
         """The plan as it is half-way, with a second leg where the first would miss the budget."""
         seconds, step, passes = self.began
         passes = clock.passes - passes
         planned_s = self.plain_s * (clock.step - step - passes) + self.second_s * passes
-        leg = self.leg(clock, surface, clock.progress, (clock.seconds - seconds) / planned_s)
+        leg = self.leg(clock, schedule, clock.progress, (clock.seconds - seconds) / planned_s)
         wrong = abs(leg.steps / self.legs[-1].steps - 1) > TOLERANCE
         return Plan(self.plain_s, self.second_s, self.began, [*self.legs, leg] if wrong else self.legs, True)
 
@@ -88,7 +87,7 @@ def begin(training: "Training") -> None:
     plain_s, second_s = _tried(training, clock.budget_s)
     clock.seconds = distributed.decided(clock.seconds + time.perf_counter() - started)
     plan = Plan(plain_s, second_s, (clock.seconds, clock.step, clock.passes))
-    plan.legs.append(plan.leg(clock, training.run.config.surface, done))
+    plan.legs.append(plan.leg(clock, training.one_step.schedule, done))
     _follow(training, plan)
 
 
@@ -98,7 +97,7 @@ def check(training: "Training") -> None:
     if clock.budget_s is None or plan is None or plan.checked or clock.step <= plan.began[1] or clock.progress >= 1:
         return
     if clock.progress >= 0.5 or clock.seconds >= 0.5 * clock.budget_s:
-        _follow(training, plan.corrected(clock, training.run.config.surface))
+        _follow(training, plan.corrected(clock, training.one_step.schedule))
 
 
 def _follow(training: "Training", plan: Plan) -> None:
@@ -118,7 +117,7 @@ def _tried(training: "Training", budget_s: float) -> tuple[float, float]:
     def timed(state: Any, count: int, second: bool) -> tuple[Any, float]:
         start = time.perf_counter()
         state, terms = training.advance(state, training.pixels, seed, progress, count, second)
-        if count == CHUNK and state.model.sampler.upkeep_due(count, 1.0):
+        if count == CHUNK and state.model.sampler.upkeep_due(count):
             state = training.keep_up(state, seed)
         jax.block_until_ready((state, terms))
         return state, (time.perf_counter() - start) / count

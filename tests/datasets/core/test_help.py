@@ -27,7 +27,7 @@ def text() -> str:
 
 
 def test_no_sentence_is_cut_off(text: str) -> None:
-    assert any(line.split(maxsplit=1)[1:] == [f"{SENTENCE}."] for line in text.splitlines()) and "A second" in text
+    assert any(line.split(maxsplit=1)[1:] == [SENTENCE + "."] for line in text.splitlines()) and "A second" in text
 
 
 def test_commands_and_options_are_in_their_panels(text: str) -> None:

@@ -7,7 +7,6 @@ import pytest
 
 from koala3d.reconstruct.config import FieldConfig, LightConfig
 from koala3d.reconstruct.field.appearance import Reflection, Start, create_appearance
-from koala3d.reconstruct.field.near import Near
 from koala3d.reconstruct.field.parallax import INSIDE, START, Parallax, ends_on_sphere
 from koala3d.reconstruct.scene.light import LightFrame
 from tests import drawn
@@ -64,7 +63,7 @@ def test_gradients_are_finite_on_the_sphere_outside_and_without_direction(learne
     x = np.float32([1.0, 0.0, 0.0])
     places = np.stack([np.float32(s) * x for s in (0.0, INSIDE, 1.0, 1e6, 1e-30)] * 4, -1) * 4
     directions = np.repeat(np.stack([x, -x, x[[1, 0, 2]], 0 * x], -1), 5, axis=1)
-    parallax = Parallax.of(LightConfig(parallax=4.0, parallax_learned=learned))
+    parallax = Parallax.of(LightConfig(parallax="learned" if learned else 4.0))
     total = lambda p, d, x: jnp.sum(p.towards(d, x) * jnp.array([[1.0], [2.0], [3.0]]))  # noqa: E731
     value, slopes = jax.jit(jax.value_and_grad(total, (0, 1, 2)))(parallax, directions, places)
     assert np.isfinite(value) and all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(slopes))
@@ -72,24 +71,16 @@ def test_gradients_are_finite_on_the_sphere_outside_and_without_direction(learne
 
 def test_the_radius_is_as_stated_and_learned_on_request() -> None:
     assert Parallax.of(LightConfig()) is None
-    stated, learned = Parallax.of(LightConfig(parallax=4.0)), Parallax.of(LightConfig(parallax=4.0, parallax_learned=True))
+    stated, learned = Parallax.of(LightConfig(parallax=START)), Parallax.of(LightConfig(parallax="learned"))
     assert stated is not None and learned is not None and not jax.tree.leaves(stated)
     directions, places = np.float32(unit(COUNT, 1)), np.float32(some_places(COUNT, 1.0))
     np.testing.assert_allclose(TOWARDS(learned, directions, places), TOWARDS(stated, directions, places), atol=1e-6)
-    begun = Parallax.of(LightConfig(parallax_learned=True))
-    assert begun is not None and begun.inverse == 1 / START
 
     def off(parallax: Parallax, directions: jax.Array, places: jax.Array) -> jax.Array:
         return jnp.sum((parallax.towards(directions, places) - Parallax(1 / 2).towards(directions, places)) ** 2)
 
     slope = jax.jit(jax.grad(off))(learned, directions, places).logit
     assert slope is not None and slope < 0, "towards the nearer sphere"
-
-
-@pytest.mark.parametrize(("setting", "bounded", "learned"), [("auto", True, True), ("auto", False, False), (True, False, True)])
-def test_auto_is_before_a_blank_background(setting: bool | str, bounded: bool, learned: bool) -> None:
-    light = LightConfig(parallax_learned=setting).in_scene(bounded=bounded)
-    assert (Parallax.of(light) is not None) == learned == light.parallax_learned
 
 
 def reflection(parallax: Parallax | None, light: LightFrame | None = None) -> Reflection:
@@ -102,13 +93,13 @@ def reflection(parallax: Parallax | None, light: LightFrame | None = None) -> Re
 
 def test_a_highlight_shifts_with_the_place_where_lamps_are_near() -> None:
     raw = np.repeat(np.asarray(drawn.normal(12, 1)), 30, 1)
-    viewdirs, near = np.float32(np.repeat(unit(1, 5), 30, 1)), Near(drawn.array(some_places(30, 1.0)))
+    viewdirs, places = np.float32(np.repeat(unit(1, 5), 30, 1)), drawn.array(some_places(30, 1.0))
 
     @jax.jit
     def both(appearance: Reflection) -> tuple[jax.Array, jax.Array]:
         """What is reflected in these places, and in none."""
         material = appearance.material(jnp.asarray(raw), jnp.zeros((3, 30)))
-        ways = (appearance.shade(material, jnp.asarray(viewdirs), near=one) for one in (near, None))
+        ways = (appearance.shade(material, jnp.asarray(viewdirs), places=one) for one in (places, None))
         return tuple(shading.specular for shading in ways)
 
     shades = {}

@@ -18,7 +18,7 @@ from tests import drawn
 
 SMALL = {
     "encoding": {"levels": 3, "log2_size": 8, "coarsest": 2.0, "finest": 16.0},
-    "sampler": {"grid": 8, "outer_grid": 8},
+    "sampler": {"grid": 8},
     "field": {"ide_degree": 2},
 }
 """Sizes that do not matter here: there is one direction to encode. The bottleneck and all else

@@ -14,7 +14,6 @@ from koala3d.reconstruct.field.appearance import Material, Shading
 from koala3d.reconstruct.field.cloud import Cloud
 from koala3d.reconstruct.field.field import Field
 from koala3d.reconstruct.field.lit import Lit
-from koala3d.reconstruct.field.near import Near
 from koala3d.reconstruct.output import evaluate
 from koala3d.reconstruct.output.trained_model import TrainedModel
 
@@ -66,7 +65,7 @@ class Walled(Field):
         viewdirs: jax.Array,
         normals: jax.Array | None = None,
         light: Lit | None = None,
-        near: Near | None = None,
+        places: jax.Array | None = None,
     ) -> Shading:
         return self.inner.shade(material, viewdirs, normals)
 

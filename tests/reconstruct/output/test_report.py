@@ -13,7 +13,7 @@ from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.imaging import images
 from koala3d.reconstruct.output import evaluate, report
 from koala3d.reconstruct.output.trained_model import TrainedModel
-from koala3d.reconstruct.training.skipping import record
+from koala3d.reconstruct.training.decisions import record
 
 
 def test_the_page_stands_alone_and_shows_figures_and_pictures(ball: TrainedModel, tmp_path: Path) -> None:

@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 
 from koala3d.reconstruct.page.status import curves, skips_text, status_text
-from koala3d.reconstruct.training.skipping import record
+from koala3d.reconstruct.training.decisions import record
 
 
 def test_the_log_is_told_in_words_and_curves(make_run: Callable[..., Any]) -> None:
     run = make_run()
     words = status_text(run.log(), run)
-    assert "step 2 after 2 s" in words and "held-out pixels 11.00 dB" in words and "made for a test" in words
+    assert "step 2 after 2 s" in words and "test views 11.00 dB" in words and "made for a test" in words
     assert "gradient" not in words, "where every gradient was finite, nobody needs to know of it"
     assert "3 steps skipped because their gradient" in status_text([{**run.log()[-1], "skipped": 3}], run)
     (seconds, train, unseen), series = curves([*run.log(), {"seconds": 3.0, "psnr_train": 13.0}])

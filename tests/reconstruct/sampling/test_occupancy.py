@@ -90,7 +90,7 @@ def test_the_outer_extent_is_a_step_in_the_scene() -> None:
 
 def test_cells_are_kept_longer_where_masks_have_ruled_out_most() -> None:
     small = ["encoding.levels=1", "encoding.log2_size=4", "field.spatial_width=4", "field.view_width=4", "sampler.grid=8"]
-    config = load_config(overrides=[*small, "sampler.outer_grid=8", "sampler.optical_depth=0.05"])
+    config = load_config(overrides=[*small, "sampler.optical_depth=0.05"])
     facts = lambda bounded: SceneFacts(Normalisation((0.0, 0.0, 0.0), 1.0, bounded, 0.5, 4.5))  # noqa: E731
     samplers = [
         eqx.filter_eval_shape(lambda b=bounded: Model.create(jax.random.key(0), config, facts(b))).sampler

@@ -16,7 +16,7 @@ from koala3d.reconstruct.rendering.model import Model
 from koala3d.reconstruct.scene.facts import SceneFacts
 from koala3d.reconstruct.scene.rays import Normalisation
 
-SMALL = ["encoding.levels=2", "encoding.log2_size=8", "sampler.grid=16", "sampler.outer_grid=8"]
+SMALL = ["encoding.levels=2", "encoding.log2_size=8", "sampler.grid=16"]
 
 
 def facts_of(scene: Scene) -> SceneFacts:
@@ -48,39 +48,22 @@ def test_facts_survive_being_written(ball_scene: tuple[Scene, Path]) -> None:
             assert SceneFacts.from_json(json.loads(json.dumps(facts.to_json()))) == facts
 
 
-def test_values_of_the_configuration_replace_what_was_measured(ball_scene: tuple[Scene, Path]) -> None:
-    facts = facts_of(replace(ball_scene[0], background="scene", bounds_from="stated"))
-    measured = created(facts, "field.matte_around=3.5")
-    assert measured.field.appearance.start.towards == facts.towards
-    assert measured.field.appearance.matte.half_box == measured.sampler.focused.half_box == facts.half_box
-    given = created(facts, "field.matte_around=3.5", "field.half_box=[0.1,0.2,0.3]", "field.towards=[0,0,0.5]")
-    assert given.field.appearance.start.towards == (0.0, 0.0, 0.5)
-    assert given.field.appearance.matte.half_box == given.sampler.focused.half_box == (0.1, 0.2, 0.3)
-    assert created(facts, "sampler.candidates=2").sampler.focused.candidates == 2
-    assert created(facts, "sampler.candidates=1").sampler.focused is None
-
-
 @pytest.mark.parametrize(
-    ("background", "bounds_from", "candidates"),
+    ("background", "bounds_from", "preferred"),
     [
-        ("scene", "stated", 4),
-        ("scene", "box stated; near from 172 points", 4),
-        ("scene", "cameras alone", None),
-        ("white", "stated", None),
+        ("scene", "stated", True),
+        ("scene", "box stated; near from 172 points", True),
+        ("scene", "cameras alone", False),
+        ("white", "stated", False),
     ],
 )
 def test_rays_that_meet_a_stated_box_are_preferred(
-    ball_scene: tuple[Scene, Path], background: str, bounds_from: str, candidates: int | None
+    ball_scene: tuple[Scene, Path], background: str, bounds_from: str, preferred: bool
 ) -> None:
     """A box that is only guessed may hold anything, and without surroundings there is nothing to prefer it to."""
-    focused = created(facts_of(replace(ball_scene[0], background=background, bounds_from=bounds_from))).sampler.focused
-    assert (focused and focused.candidates) == candidates
-
-
-def test_tables_are_made_for_the_volume_that_is_given(ball_scene: tuple[Scene, Path]) -> None:
-    facts, sizes = facts_of(ball_scene[0]), ["encoding.log2_size=12", "encoding.coarsest=8"]
-    full, fitted = created(facts, *sizes), created(facts, *sizes, "encoding.volume=1e-3")
-    assert fitted.field.encoding.log2_sizes < full.field.encoding.log2_sizes == (12, 12)
+    facts = facts_of(replace(ball_scene[0], background=background, bounds_from=bounds_from))
+    focused = created(facts).sampler.focused
+    assert (focused is not None and focused.half_box == facts.half_box) == preferred
 
 
 def test_gains_begin_as_they_were_measured(ball_scene: tuple[Scene, Path]) -> None:

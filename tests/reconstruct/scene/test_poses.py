@@ -21,18 +21,21 @@ from koala3d.reconstruct.scene import poses
 from koala3d.reconstruct.scene.facts import SceneFacts
 from koala3d.reconstruct.scene.rays import Normalisation, Pixels, Rays, view_rays
 from koala3d.reconstruct.scene.twists import moved
-from koala3d.reconstruct.training import batches, objective, optimiser
+from koala3d.reconstruct.training import batches, objective, optimiser, schedule
 from koala3d.reconstruct.training.step import Step
 from tests import drawn
 from tests.small import Trainable
 
 SIGMA_M, SIGMA_RAD, STEPS = 2e-3, 4e-3, 100
-REFINED = {"poses": {"enabled": True, "sigma_m": SIGMA_M, "sigma_rad": SIGMA_RAD, "start": 0.0, "rate": 0.05, "final_rate": 0.05}}
+REFINED = {"poses": {"enabled": True, "sigma_m": SIGMA_M, "sigma_rad": SIGMA_RAD}}
 
 
 @pytest.fixture
-def config(small_config: Config) -> Config:
-    """A training of 40 steps that refines poses."""
+def config(small_config: Config, monkeypatch: pytest.MonkeyPatch) -> Config:
+    """A training of 40 steps that refines poses, from the first step at a constant rate."""
+    monkeypatch.setattr(schedule, "POSES_FROM", 0.0)
+    monkeypatch.setattr(schedule, "POSE_RATE", 5.0)
+    monkeypatch.setattr(schedule, "LAST_POSE_RATE", 5.0)
     tree = {
         "train": {"steps": 40},
         "sampler": {"rays": 128, "samples": 2048},

@@ -89,18 +89,6 @@ def test_pixels_come_with_their_own_ray_and_colour(make_scene: Callable[..., Sce
     np.testing.assert_allclose(np.linalg.norm(viewdirs, axis=-1), 1, atol=1e-6)
 
 
-def test_held_out_pixels_are_not_among_the_others(make_scene: Callable[..., Scene]) -> None:
-    scene = make_scene(count=2)
-    pixels = Pixels.load(scene.views, Normalisation.of(scene), 0.5, Silent())
-    total = len(pixels.directions)
-    rest, held = pixels.held_out(10**6)
-    assert len(held.directions) == total // 100 and len(rest.directions) == total - total // 100
-    keys = lambda p: {tuple(row) for row in np.column_stack([p.view, p.directions]).tolist()}  # noqa: E731
-    assert not keys(rest) & keys(held) and keys(rest) | keys(held) == keys(pixels)
-    assert keys(pixels.held_out(10**6)[1]) == keys(held), "the same ones when a training is resumed"
-    assert jax.eval_shape(lambda: pixels.held_out(20))[1].directions.shape == (20, 3)
-
-
 def test_a_ring_of_cameras_above_lies_above(make_scene: Callable[..., Scene]) -> None:
     """Each camera of the ring, 0.4 m wide, stands 0.19 to 0.35 m above the box's centre; around, they cancel."""
     scene = make_scene()

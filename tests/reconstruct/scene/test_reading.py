@@ -9,7 +9,7 @@ from koala3d.datasets.scene import Scene
 from koala3d.reconstruct.scene import pool as pools
 from koala3d.reconstruct.scene import rays
 from koala3d.reconstruct.scene.rays import Normalisation, read_scaled
-from koala3d.reconstruct.scene.reading import held_out, training_pixels
+from koala3d.reconstruct.scene.reading import training_pixels
 
 
 class Silent:
@@ -24,13 +24,9 @@ def test_a_pool_is_made_where_memory_is_short(make_scene: Callable[..., Scene], 
     normalisation = Normalisation.of(scene)
     pixels, pool = training_pixels(scene.views, normalisation, 0.5)
     assert pool is None and len(pixels.view) == 4 * 48 * 36
-    rest, held = held_out(pixels, pool)
-    assert len(rest.view) + len(held.view) == len(pixels.view)
     monkeypatch.setenv(pools.MOST, "1000")
     pixels, pool = training_pixels(scene.views, normalisation, 0.5)
     assert pool is not None and len(pixels.view) == 1000
-    rest, held = held_out(pixels, pool)
-    assert rest is pixels and len(held.view) == 4 * 48 * 36 // 100
 
 
 def test_a_large_picture_is_kept_at_its_scale(

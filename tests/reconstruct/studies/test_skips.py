@@ -12,8 +12,8 @@ from koala3d.reconstruct.scene.facts import SceneFacts
 from koala3d.reconstruct.scene.rays import Normalisation
 from koala3d.reconstruct.studies import skips
 from koala3d.reconstruct.studies.jobs import BASE, CELLS, Job
-from koala3d.reconstruct.training.skipping import record
-from koala3d.reconstruct.training.skipping.record import Skip
+from koala3d.reconstruct.training.decisions import record
+from koala3d.reconstruct.training.decisions.skip import Skip
 
 
 def cell(

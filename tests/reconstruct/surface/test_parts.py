@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from koala3d.reconstruct.field.field import Field
-from koala3d.reconstruct.field.near import Near
 from koala3d.reconstruct.models import load_config
 from koala3d.reconstruct.rendering.model import Model
 from koala3d.reconstruct.scene.facts import SceneFacts
@@ -15,7 +14,7 @@ from koala3d.reconstruct.scene.rays import Normalisation, Rays
 from koala3d.reconstruct.scene.space import BALL, BOX
 from koala3d.reconstruct.surface import regularisers
 from koala3d.reconstruct.surface.first_surface import Surface
-from koala3d.reconstruct.surface.parts import bias_for_two_kinds, kinds_told_apart, towards_surface
+from koala3d.reconstruct.surface.parts import at_object, bias_for_two_kinds, towards_surface
 from koala3d.reconstruct.surface.place import Place
 from tests import drawn
 
@@ -59,7 +58,7 @@ def surface() -> Surface:
 
 
 MATERIAL = jax.jit(lambda field, rays, surface: field(PLACE.of(rays, surface))[1])
-SEEN = jax.jit(lambda field, material, towards, places: field.shade(material, towards, near=Near(places)).specular)
+SEEN = jax.jit(lambda field, material, towards, places: field.shade(material, towards, places=places).specular)
 
 
 def test_it_looks_from_every_camera_at_every_point(field: Field, rays: Rays, surface: Surface) -> None:
@@ -90,12 +89,11 @@ def test_directions_go_into_the_surface(rays: Rays, surface: Surface) -> None:
 
 
 def test_an_object_among_surroundings_waits_for_its_reflections(rays: Rays) -> None:
-    """One point in the object's ball, one outside it; before a blank background, or in a common frustum, none waits."""
+    """One point in the object's ball, one outside it."""
     points = surface_of((1.9, 0.5), (0, 1))
-    among = jax.jit(lambda formed: kinds_told_apart(Place(BALL), rays, points, formed))
+    among = jax.jit(lambda factor: at_object(Place(BALL), rays, points, factor))
     np.testing.assert_array_equal(among(np.float32(0.25)), [0.25, 1])
     np.testing.assert_array_equal(among(np.float32(1.0)), [1, 1])
-    assert kinds_told_apart(PLACE, rays, points, 0.25) == 1
 
 
 @pytest.mark.parametrize("place", [PLACE, Place(BALL)])

@@ -33,7 +33,7 @@ ATOL = 1e-7
 """Of terms that are next to nothing, such as the decay of tables that begin within 1e-4."""
 CHANGES = {
     "field": {"view_depth": 3},
-    "train": {"rate": 0.003, "final_rate": 0.001, "warmup": 0.02, "per_image": "colour"},
+    "train": {"rate": 0.003, "final_rate": 0.001, "per_image": "colour"},
 }
 DEFAULT = "surfnerf, fast"
 """The case of the default model, on the glossy ball."""

@@ -17,9 +17,9 @@ from koala3d.reconstruct.models import finetuned, load_config, merged_config
 from koala3d.reconstruct.output.trained_model import TrainedModel
 from koala3d.reconstruct.run import CHECKPOINTS, FAULTS, Run
 from koala3d.reconstruct.scene.poses import POSES
+from koala3d.reconstruct.training.decisions import record
 from koala3d.reconstruct.training.faults import FAULTS as FAULT_BITS
 from koala3d.reconstruct.training.loop import start, train
-from koala3d.reconstruct.training.skipping import record
 from koala3d.reconstruct.training.step import Step
 from tests.reconstruct import glossy_ball
 from tests.small import small

@@ -13,7 +13,6 @@ from koala3d.reconstruct.field.appearance import Material, Shading
 from koala3d.reconstruct.field.cloud import Cloud
 from koala3d.reconstruct.field.field import Field
 from koala3d.reconstruct.field.lit import Lit
-from koala3d.reconstruct.field.near import Near
 from koala3d.reconstruct.models import load_config
 from koala3d.reconstruct.rendering.model import Model, Rendered
 from koala3d.reconstruct.sampling.samples import RaySamples
@@ -53,7 +52,7 @@ class HalfSpace(Field):
         viewdirs: jax.Array,
         normals: jax.Array | None = None,
         light: Lit | None = None,
-        near: Near | None = None,
+        places: jax.Array | None = None,
     ) -> Shading:
         specular = jnp.broadcast_to(jnp.maximum(-viewdirs[2], 0.0), viewdirs.shape)
         return Shading(2 * specular, specular)
@@ -86,14 +85,14 @@ def rendered(weights: list[list[float]], rgb: list[list[float]] | None = None) -
 
 def weights(**changed: float) -> LossConfig:
     nothing = dict.fromkeys(LossConfig.model_fields, 0.0)
-    return LossConfig(**{**nothing, "charbonnier": 1e-3, "last_density_normals": None, **changed})
+    return LossConfig(**{**nothing, "last_density_normals": None, **changed})
 
 
 def test_colours_count_over_the_background_for_used_rays_alone() -> None:
     seen = rendered([[0.5], [1.0], [1.0]], [[0.2] * 3, [0.9] * 3, [0.1] * 3])
     truth = jnp.array([[0.4, 0.4, 0.4, 0.5], [0.5, 0.5, 0.5, 1.0], [0.9, 0.9, 0.9, 1.0]])
     used = jnp.array([True, True, False])
-    found = objective.photometric(seen, truth, jnp.ones((3, 3)), used, 0.3)
+    found = objective.photometric(seen, truth, jnp.ones((3, 3)), used, width=0.3)
     # over white: 0.2 + 0.5 against 0.4 * 0.5 + 0.5, no error, Charbonnier 0.3
     # then an error of 0.4: sqrt(0.16 + 0.09) = 0.5; the third ray is ignored
     np.testing.assert_allclose(found["photometric"], (0.3 + 0.5) / 2, rtol=1e-5)
@@ -123,7 +122,7 @@ def test_interlevel_loss_of_one_interval_per_level() -> None:
     edges = jnp.array([[0.0, 0.5, 1.0]])
     whole = jnp.array([[0.0, 1.0]])
     levels = ((whole, jnp.array([[0.7]])), (whole, jnp.array([[0.9]])))
-    found = objective.interlevel_term(edges, jnp.array([[1.0, 0.0]]), levels, 0.01)
+    found = objective.interlevel_term(edges, jnp.array([[1.0, 0.0]]), levels)
     np.testing.assert_allclose(found["interlevel"], 0.01 * 0.126811, rtol=1e-4)
 
 
@@ -142,28 +141,13 @@ def test_decay_sums_levels_and_proposals() -> None:
 def test_normals_at_first_surfaces(rays: Rays, surface: Surface) -> None:
     """The density's normal is z, the predicted one (0, 0.6, -0.8): |n - n'|^2 = 0.36 + 3.24 = 3.6, and it faces away: 0.8^2."""
     wanted = weights(orientation=0.1, predicted_normals=3e-4, density_normals=1e-4)
-    at = lambda field, wanted, progress=0.0: objective.surface_point_terms(  # noqa: E731
-        field, rays, surface, wanted, Place(BOX), jnp.asarray(progress)
-    )
+    at = lambda field, wanted: objective.surface_point_terms(field, rays, surface, wanted, Place(BOX), 1e-4)  # noqa: E731
     found = at(half_space(), wanted)
     np.testing.assert_allclose(found["predicted_normals"], 0.8 * (3e-4 + 1e-4) * 3.6, rtol=1e-5)
     np.testing.assert_allclose(found["orientation"], 0.1 * 0.8 * 0.64, rtol=1e-5)
     alone = at(half_space("view"), wanted)
     assert alone.keys() == {"orientation"} and float(alone["orientation"]) == 0, "nothing is predicted, and z faces the camera"
     assert at(half_space(), weights()) == {}
-    rising = weights(density_normals=1e-4, last_density_normals=1e-3)
-    for progress, weight in ((0.4, 1e-4), (0.6, 5.5e-4), (0.8, 1e-3), (1.0, 1e-3)):
-        np.testing.assert_allclose(at(half_space(), rising, progress)["predicted_normals"], 0.8 * weight * 3.6, rtol=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("rule", "bounded", "goes_over"), [("auto", False, True), ("auto", True, False), ("median", False, False)]
-)
-def test_the_paper_s_rule_holds_among_surroundings_until_fog_is_gone(rule: str, bounded: bool, goes_over: bool) -> None:
-    facts = replace(FACTS, normalisation=replace(FACTS.normalisation, bounded=bounded))
-    wanted = objective.Objective.of(load_config(overrides=[*SMALL, f"surface.first={rule}"]), facts, Place(BOX))
-    assert wanted.turns_solid == goes_over and wanted.first_rule == ("median" if rule == "median" or not bounded else "share")
-    assert wanted.surface_rays == 4 * wanted.second_rays, "the losses of normals need one point of a ray, not a ball of them"
 
 
 def test_fog_of_two_rays() -> None:
@@ -173,7 +157,7 @@ def test_fog_of_two_rays() -> None:
     np.testing.assert_allclose(found["fog"], 0.01 * 0.1 / 2, rtol=1e-5)
 
 
-WANTED = SurfaceConfig(samples=4, reach=2.0, density=0.1, normal=0.1, bias=0.03, variation=1e-3, neighbours=1)
+WANTED = SurfaceConfig(samples=4, reach=2.0, density=0.1, normal=0.1, bias=0.03, variation=1e-3)
 REGULARISERS = SecondPass(Place(BOX), WANTED)
 
 
@@ -184,6 +168,7 @@ def with_changes(**changes: float) -> SecondPass:
 @pytest.fixture
 def fixed_directions(monkeypatch: pytest.MonkeyPatch) -> None:
     directions = jnp.asarray(np.tile(DIRECTIONS, (2, 1, 1)), jnp.float32)
+    monkeypatch.setattr(second_pass, "NEIGHBOURS", 1)
     monkeypatch.setattr(second_pass, "ball_samples", lambda *_: (directions, jnp.asarray(RADII, jnp.float32)))
 
 
@@ -227,8 +212,8 @@ def test_a_saturated_channel_tells_no_more_than_the_least_light() -> None:
     colour = jnp.array([[1.0, 1.0, 0.5, 1.0], [1.0, 1.0, 0.5, 0.5]])
     background, used = jnp.ones((2, 3)), jnp.ones(2, bool)
     error = np.array([[0.2, -0.2, 0.0], [0.2, -0.2, -0.25]])
-    plain = objective.photometric(seen, colour, background, used, 1e-3)["mse"]
+    plain = objective.photometric(seen, colour, background, used)["mse"]
     np.testing.assert_allclose(plain, np.mean(error**2), rtol=1e-5)
-    clipped = objective.photometric(seen, colour, background, used, 1e-3, True)["mse"]
+    clipped = objective.photometric(seen, colour, background, used, True)["mse"]
     error[0, 0] = 0
     np.testing.assert_allclose(clipped, np.mean(error**2), rtol=1e-5)

@@ -47,8 +47,6 @@ def test_batches_grow_on_a_gpu_until_they_keep_it_busy_or_fill_it(monkeypatch: p
     assert ray_count.grown(config, FACTS, some_pixels(), limit=10**8).sampler.samples == 2**16, "as much as fits"
     assert ray_count.grown(config, FACTS, some_pixels(), limit=10**6) == config
     assert ray_count.grown(large, FACTS, some_pixels(), limit=10**9) == large, "once"
-    asked = load_config("surfnerf", "fast", ["sampler.least=0"])
-    assert ray_count.grown(asked, FACTS, some_pixels(), limit=10**9) == asked
     paper = load_config("surfnerf", "paper")
     assert ray_count.grown(paper, FACTS, some_pixels(), limit=10**9) == paper, "two million samples already"
 

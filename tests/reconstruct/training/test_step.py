@@ -14,7 +14,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from koala3d.reconstruct import models
 from koala3d.reconstruct.kernels import native
 from koala3d.reconstruct.scene.facts import SceneFacts
 from koala3d.reconstruct.scene.rays import Normalisation, Pixels
@@ -53,8 +52,8 @@ def test_accumulated_batches_step_by_their_mean_gradient(monkeypatch: pytest.Mon
 
 
 def test_the_bias_at_an_object_waits_until_two_fifths_of_the_training(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(SecondPass, "terms", lambda _, field, rays, surfaces, key, formed: {"lambertian_bias": formed})
-    step = Step.of(small("surfnerf"), FACTS)
+    monkeypatch.setattr(SecondPass, "terms", lambda _, field, rays, surfaces, key, bias: {"lambertian_bias": bias})
+    step = Step.of(models.of_kinds(small("surfnerf"), ["surroundings"]), FACTS)
     model = step.initial(jax.random.key(0)).model
     part = Part(jax.tree.map(jnp.zeros_like, model.split()[0]), {"mse": jnp.zeros(())}, None, None, None)
     zero, times = jnp.asarray(0), jnp.array([0.0, 0.4, 0.45, 0.5, 1.0])
@@ -82,7 +81,8 @@ f = lambda a: jnp.asarray(a, jnp.float32)
 colour, view = jnp.asarray(rng.random((2000, 4)), jnp.float16), jnp.asarray(view, jnp.int32)
 pixels = Pixels(colour, f(directions), view, f(origins), f(np.full(5, 1e-3)))
 config = Config.model_validate(merged(load_config(sys.argv[2]).model_dump(), json.loads(sys.argv[1])))
-facts = SceneFacts(Normalisation((0.0, 0.0, 0.0), 1.0, sys.argv[3] == "bounded", 0.5, 6.0))
+normalisation = Normalisation((0.0, 0.0, 0.0), 1.0, sys.argv[3] == "bounded", 0.5, 6.0)
+facts = SceneFacts(normalisation, half_box=(0.5, 0.5, 0.5), box_is_stated=True)
 found = []
 for count in (1, 4):
     state = Step.of(config, facts).initial(jax.random.key(0))
@@ -115,10 +115,9 @@ np.testing.assert_allclose(grid4, grid, rtol=1e-3)
 )
 def test_four_devices_come_to_the_result_of_one(model: str, world: str) -> None:
     """Three steps: sums over rays in another order, which Adam's normalisation makes larger: hence a thousandth, not 1e-6."""
-    sizes = models.merged(SIZES, {"field": {"half_box": [0.5, 0.5, 0.5]}, "sampler": {"candidates": 4}})
     environment = {**os.environ, "XLA_FLAGS": "--xla_force_host_platform_device_count=4", "JAX_PLATFORMS": "cpu"}
     done = subprocess.run(
-        [sys.executable, "-c", SHARDED, json.dumps(sizes), model, world], env=environment, capture_output=True, text=True
+        [sys.executable, "-c", SHARDED, json.dumps(SIZES), model, world], env=environment, capture_output=True, text=True
     )
     assert done.returncode == 0, done.stderr[-3000:]
 

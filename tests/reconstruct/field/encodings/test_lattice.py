@@ -64,7 +64,7 @@ def reference(grid: PermutohedralLattice, points: np.ndarray) -> np.ndarray:
         system = np.concatenate([corners.transpose(0, 2, 1), np.ones((len(corners), 1, 4))], 1)
         target = np.concatenate([lifted, np.ones((len(corners), 1))], -1)
         weights = np.einsum("nkc,nc->nk", np.linalg.pinv(system), target)
-        levels.append(np.einsum("fnk,nk->fn", table[:, level][:, hashed(corners, grid.log2_sizes[0])], weights))
+        levels.append(np.einsum("fnk,nk->fn", table[:, level][:, hashed(corners, grid.log2_size)], weights))
     return np.stack(levels, 1).reshape(-1, points.shape[1])
 
 
@@ -132,7 +132,7 @@ def test_nothing_flows_back_to_the_points(grid: PermutohedralLattice, points: ja
 def test_rows_are_in_their_level_s_table_and_spread_out(log2_size: int) -> None:
     far = drawn.uniform(3, 20000, low=-300, high=300)
     table = drawn.array(np.zeros((1, 2 << log2_size)))
-    made = PermutohedralLattice(table, drawn.array(0.0), (1.0, 3.0), (log2_size, log2_size))
+    made = PermutohedralLattice(table, drawn.array(0.0), (1.0, 3.0), log2_size)
     rows = np.stack(LOCATE(made, far)[0])  # (vertex, level, n)
     within = rows - np.arange(2)[:, None] * 2**log2_size
     assert within.min() >= 0

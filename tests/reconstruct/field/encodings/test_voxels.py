@@ -38,7 +38,7 @@ def reference(grid: VoxelGrid, points: np.ndarray) -> np.ndarray:
             for offset in product((0, 1), repeat=3):
                 vertex = np.floor(position) + offset
                 weight = np.prod(1 - np.abs(position - vertex))
-                result[:, level, n] += weight * table[:, level, hashed(vertex, grid.log2_sizes[0])]
+                result[:, level, n] += weight * table[:, level, hashed(vertex, grid.log2_size)]
     return result.reshape(-1, points.shape[1])
 
 

@@ -9,10 +9,10 @@ from koala3d.reconstruct.config import Config
 from koala3d.reconstruct.scene.light import STILL, Frame, LightFrame
 from koala3d.reconstruct.scene.rays import Normalisation, Pixels
 from koala3d.reconstruct.scene.turntable import Turning, turning
-from koala3d.reconstruct.training.skipping import explained
-from koala3d.reconstruct.training.skipping.record import NOTHING_MORE, Skip
+from koala3d.reconstruct.training.decisions import explained
+from koala3d.reconstruct.training.decisions.skip import Skip
 
-NAME = "moving_lamps"
+NAME, WHAT = "moving_lamps", "light that moves about the object"
 SAVING = "a rotation of each reflected direction, and a network for the light on matte parts"
 CLEAR_DB = 0.2
 """A frame in which lamps move must explain colours better than the object's own by so much [dB]: see docs/skipping.md."""
@@ -46,14 +46,14 @@ def decided_light(
     wanted, said = (known, "stated by the scene") if config.light.frame == "auto" and known else (config.light.frame, "forced")
     axis = config.light.axis or known_axis
     if config.field.appearance != "reflection":
-        return STILL, Skip.of(NAME, True, "the model reflects nothing", NOTHING_MORE)
+        return STILL, Skip(NAME, WHAT, True, "the model reflects nothing")
     if wanted == "world":
-        return STILL, Skip.of(NAME, True, said, SAVING)
+        return STILL, Skip(NAME, WHAT, True, said, SAVING)
     turned = turning(np.stack([view.world_from_camera[:3, :3] for view in views]))
     if wanted != "auto":
-        return _frame(wanted, turned, views, normalisation, axis), Skip.of(NAME, False, f"{said}: {wanted}", SAVING)
+        return _frame(wanted, turned, views, normalisation, axis), Skip(NAME, WHAT, False, f"{said}: {wanted}", SAVING)
     if not normalisation.bounded or possible is None:
-        return STILL, Skip.of(NAME, True, "without masks lamps are taken to stand still", SAVING)
+        return STILL, Skip(NAME, WHAT, True, "without masks lamps are taken to stand still", SAVING)
     kinds: list[Frame] = ["camera"]
     if axis or (turned is not None and turned.agreeing >= AGREEING and turned.on_rings >= ON_RINGS):
         kinds.append("turntable")
@@ -64,14 +64,14 @@ def decided_light(
 def _explained_best(frames: list[LightFrame], errors: list[float] | None) -> Decision:
     """One of the frames where it is clearly better than `STILL`, whose error comes first."""
     if errors is None:
-        return STILL, Skip.of(NAME, True, "too few views or pixels to tell", SAVING)
+        return STILL, Skip(NAME, WHAT, True, "too few views or pixels to tell", SAVING)
     gains = [float(10 * np.log10(errors[0] / error)) for error in errors[1:]]
     best = int(np.argmax(gains))
     listed = ", ".join(f"{frame.kind} {gain:+.2f} dB" for frame, gain in zip(frames, gains, strict=True))
     evidence = f"colours in views left out, explained by lamps that move, against lamps that stand still: {listed}"
     if gains[best] < CLEAR_DB:
-        return STILL, Skip.of(NAME, True, evidence, SAVING)
-    return frames[best], Skip.of(NAME, False, evidence, SAVING)
+        return STILL, Skip(NAME, WHAT, True, evidence, SAVING)
+    return frames[best], Skip(NAME, WHAT, False, evidence, SAVING)
 
 
 def _frame(

@@ -10,10 +10,10 @@ from koala3d.datasets.scene import Scene
 from koala3d.reconstruct.config import Config
 from koala3d.reconstruct.models import load_config
 from koala3d.reconstruct.scene.rays import Normalisation
-from koala3d.reconstruct.training.skipping.matched import matches_of
-from koala3d.reconstruct.training.skipping.record import Skip
-from koala3d.reconstruct.training.skipping.refinement import with_poses
-from tests.reconstruct.training.skipping.textured import textured_wall
+from koala3d.reconstruct.training.decisions.matches import matches_of
+from koala3d.reconstruct.training.decisions.poses import decided as decided_on
+from koala3d.reconstruct.training.decisions.skip import Skip
+from tests.reconstruct.training.decisions.textured import textured_wall
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +23,7 @@ def wall(tmp_path_factory: pytest.TempPathFactory) -> Scene:
 
 def decided(scene: Scene, *overrides: str) -> tuple[Config, Skip]:
     config = load_config(overrides=list(overrides))
-    return with_poses(config, matches_of(scene, scene.views, config), scene, Normalisation.of(scene))
+    return decided_on(config, matches_of(scene, scene.views, config), scene, Normalisation.of(scene))
 
 
 def turned(scene: Scene, sigma: float) -> Scene:

@@ -5,10 +5,10 @@ import pytest
 
 from koala3d.datasets.scene import Scene
 from koala3d.reconstruct.models import load_config
-from koala3d.reconstruct.training.skipping.matched import matches_of
-from koala3d.reconstruct.training.skipping.matte import matte_share
-from koala3d.reconstruct.training.skipping.plan import MOSTLY
-from tests.reconstruct.training.skipping.textured import textured_wall
+from koala3d.reconstruct.training.decisions.matches import matches_of
+from koala3d.reconstruct.training.decisions.matte import matte_share
+from koala3d.reconstruct.training.decisions.reflection import MOSTLY
+from tests.reconstruct.training.decisions.textured import textured_wall
 
 WHOLE_WALL = np.array([[-2.0] * 3, [2.0] * 3])
 

@@ -10,13 +10,15 @@ from koala3d.datasets.structure.placement import Reprojection, reprojection_of
 from koala3d.reconstruct.config import Config
 from koala3d.reconstruct.models import merged_config
 from koala3d.reconstruct.scene.rays import Normalisation
-from koala3d.reconstruct.training.skipping.record import NOTHING_MORE, Skip
+from koala3d.reconstruct.training.decisions.skip import Skip
 
+NAME, WHAT = "poses", "a correction of each picture's pose"
+FORCED = "poses.enabled=true"
 CALIBRATED = "calibration"
 """What scenes that were built from a recording have in their provenance."""
 
 
-def with_poses(config: Config, matches: Matches | None, scene: Scene, normalisation: Normalisation) -> tuple[Config, Skip]:
+def decided(config: Config, matches: Matches | None, scene: Scene, normalisation: Normalisation) -> tuple[Config, Skip]:
     """The configuration with the decision on poses made, and the decision.
 
     Where poses are refined, their standard deviations are those that explain the distances of matched points.
@@ -29,7 +31,7 @@ def with_poses(config: Config, matches: Matches | None, scene: Scene, normalisat
         if found is not None and wanted:
             changes |= {"sigma_rad": found.beyond_rad, "sigma_m": found.beyond_rad * found.depth}
         config = merged_config(config, {"poses": changes})
-    return config, Skip.of("poses", not wanted, _words(found, scene, normalisation), NOTHING_MORE)
+    return config, Skip(NAME, WHAT, not wanted, _words(found, scene, normalisation))
 
 
 def _words(found: Reprojection | None, scene: Scene, normalisation: Normalisation) -> str:
