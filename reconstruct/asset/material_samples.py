@@ -119,7 +119,7 @@ def _composited(
     opacity = jnp.sum(weights, -1)
     stacked = material.stacked()
     mean = jnp.sum(stacked.reshape(stacked.shape[0], count, STEPS) * weights, -1) / jnp.maximum(opacity, 1e-6)
-    lit = field.lit(Material.unstacked(mean), Lit.towards(frame, -outward))
+    lit = field.under_lamps(Material.unstacked(mean), Lit.towards(frame, -outward))
     return jnp.concatenate([opacity[None], lit.stacked()])
 
 

@@ -169,7 +169,7 @@ class Reflection(eqx.Module):
         raw = self.view(jnp.concatenate([material.bottleneck, encoded, facing[None], *from_lens]))
         return _sum_of_parts(material.diffuse, material.tint * jax.nn.sigmoid(raw + self.specular_bias))
 
-    def lit(self, material: Material, light: Lit) -> Material:
+    def under_lamps(self, material: Material, light: Lit) -> Material:
         """The material with its diffuse colour under lamps that move about it."""
         if self.moving is None:
             return material
@@ -219,7 +219,7 @@ class ViewColour(eqx.Module):
             return _sum_of_parts(material.diffuse, colour)
         return Shading(colour * 1.002 - 0.001, linear_from_srgb(colour))
 
-    def lit(self, material: Material, light: Lit) -> Material:
+    def under_lamps(self, material: Material, light: Lit) -> Material:
         """The same material."""
         return material
 
@@ -253,7 +253,7 @@ class Matte(eqx.Module):
         """The same colour from all sides."""
         return _sum_of_parts(material.diffuse, jnp.zeros_like(material.diffuse))
 
-    def lit(self, material: Material, light: Lit) -> Material:
+    def under_lamps(self, material: Material, light: Lit) -> Material:
         """The same material."""
         return material
 

@@ -79,9 +79,9 @@ class Field(eqx.Module):
         last = lambda field: (field.spatial.weights[-1], field.spatial.biases[-1])  # noqa: E731
         return eqx.tree_at(last, held, last(self))
 
-    def lit(self, material: Material, light: Lit | None) -> Material:
+    def under_lamps(self, material: Material, light: Lit | None) -> Material:
         """The material with its diffuse colour under lamps that move about it; as it is where they stand still (None)."""
-        return material if light is None else self.appearance.lit(material, light)
+        return material if light is None else self.appearance.under_lamps(material, light)
 
     def shade(
         self,

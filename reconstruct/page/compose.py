@@ -22,7 +22,7 @@ CHANNELS = (
     {name: name for name in SHADED} | {"normals (predicted)": "normals_pred"} | {n: n for n in ("depth", "opacity", "roughness")}
 )
 """Names on the page, and the renderer's names."""
-OPAQUE = 0.5  # opacity above which a pixel hides what is behind it
+COVERING = 0.5  # opacity above which a pixel hides what is behind it
 BEHIND_ALL = 160.0  # depth of pixels that hide nothing: the page's depth ends at 167
 
 
@@ -70,7 +70,7 @@ def picture_of(channel: str, values: Values) -> NDArray[np.float32]:
 def hiding_depth(values: Values) -> NDArray[np.float32]:
     """(height, width) depth along z [world unit] that hides objects behind it; far where the pixel is transparent."""
     depth = values["depth"][..., 0]
-    return np.where((values["opacity"][..., 0] > OPAQUE) & (depth > 0), depth, BEHIND_ALL).astype(np.float32)
+    return np.where((values["opacity"][..., 0] > COVERING) & (depth > 0), depth, BEHIND_ALL).astype(np.float32)
 
 
 def nearest_view(viewpoint: Viewpoint, views: tuple[View, ...], reach: float) -> View:

@@ -51,7 +51,7 @@ def composite(
 def values_of(field: Field, material: Material, rays: Rays, samples: RaySamples) -> tuple[Float[Array, "_ n"], ...]:
     """What is composited of each sample: the material and, where samples are shaded, colour and specular part."""
     light = None if field.deferred else Lit.on(rays, samples.t, samples.ray)
-    material = field.lit(material, light)
+    material = field.under_lamps(material, light)
     if field.deferred:
         return material.parts
     directions = rays.viewdirs.at[samples.ray].get(mode="promise_in_bounds").T

@@ -24,7 +24,7 @@ from koala3d.reconstruct.scene.space import Space
 
 UNDER_WAY, TOGETHER = (2048, 32768), 4
 """Rays that are under way at once, on a processor and elsewhere, and their samples that are evaluated together."""
-HIDDEN = float(-np.log(1e-3))
+SPENT = float(-np.log(1e-3))
 """Optical depth behind which nothing is looked at: less than a thousandth of its light would arrive."""
 
 
@@ -41,7 +41,7 @@ class _Round(eqx.Module):
     """First of the queue that has not begun."""
 
 
-def composited(
+def composite(
     field: Field, rays: Rays, found: Sampled, queue: "Queue", space: Space, *, normals: bool, under_way: int | None = None
 ) -> Float[Array, "rays _"]:
     """Sums of weights, t and `values_of` over each ray of a queue, and of weighted unit density normals if they are wanted.
@@ -82,7 +82,7 @@ def composited(
         depth = now.sums[ray, 0]
         more = contributions(ray, now.slot, active, depth)
         slot = now.slot + TOGETHER
-        leaves = active & ((slot >= filled[ray]) | (depth + more[:, 0] > HIDDEN))
+        leaves = active & ((slot >= filled[ray]) | (depth + more[:, 0] > SPENT))
         place = jnp.where(leaves, now.next + jnp.cumsum(leaves) - 1, now.place)
         return _Round(now.sums.at[ray].add(more), place, jnp.where(leaves, 0, slot), now.next + jnp.sum(leaves))
 

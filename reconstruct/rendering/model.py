@@ -135,7 +135,7 @@ def seen(field: Field, rays: Rays, sums: Float[Array, "channels rays"], weights:
     diffuse = sums[2:5]
     if field.deferred:
         light = Lit.on(rays, mean[1])
-        material = field.lit(Material.unstacked(barrier(mean[2:])), light)
+        material = field.under_lamps(Material.unstacked(barrier(mean[2:])), light)
         places = places_on(rays, mean[1]) if field.appearance.parallax is not None else None
         shading = barrier(field.shade(material, rays.viewdirs.T, light=light, places=places))
         rgb, specular = shading.rgb * opacity, shading.specular * opacity

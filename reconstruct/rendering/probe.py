@@ -61,7 +61,7 @@ class Probe(NamedTuple):
         as_drawn = np.argsort(np.argsort(owner, kind="stable"), kind="stable")
         cameras = [scaled_camera(view, config.scale) for view in views]
         left = np.concatenate([left_half(camera.height, camera.width).ravel() for camera in cameras])
-        origins, directions, radii, lamps, colour = pixels.lit(light, views).over_white(as_drawn)
+        origins, directions, radii, lamps, colour = pixels.under(light, views).over_white(as_drawn)
         return cls(origins, directions, radii, lamps, colour, owner.astype(np.int32), left[index])
 
     def psnr(self, model: Model, renderer: Renderer) -> float:

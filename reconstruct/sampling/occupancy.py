@@ -15,7 +15,7 @@ from koala3d.reconstruct.scene.space import Space
 
 UNKNOWN = 0.02
 """Optical depth of a step through a cell in which the field was not evaluated yet."""
-FAINTEST, OPAQUE = 1e-4, 1.0
+FAINTEST, DENSEST = 1e-4, 1.0
 """Bounds of the optical depth of a step through an occupied cell: its largest density says little about its other parts."""
 
 
@@ -110,7 +110,7 @@ class Occupancy(eqx.Module):
 
     def with_occupied(self, occupied: Bool[Array, " cells"]) -> "Occupancy":
         """The same grids with these cells occupied."""
-        depth = jnp.where(jnp.isfinite(self.density), jnp.clip(self.density * self.extent, FAINTEST, OPAQUE), UNKNOWN)
+        depth = jnp.where(jnp.isfinite(self.density), jnp.clip(self.density * self.extent, FAINTEST, DENSEST), UNKNOWN)
         return eqx.tree_at(lambda o: o.depth, self, jnp.where(occupied, depth, 0.0).astype(jnp.float16))
 
     def noted(self, cells: Int[Array, " n"], density: Float[Array, " n"]) -> "Occupancy":

@@ -20,7 +20,7 @@ from koala3d.reconstruct.scene.space import Space
 
 BLOCK = 32
 """Steps whose probabilities are summed by one product; the number of steps is a multiple of it."""
-HIDDEN = 0.02
+LEAST_IMPORTANCE = 0.02
 """Importance of an occupied step that the grid believes hidden; that of an opaque, visible one is 1."""
 
 
@@ -40,7 +40,7 @@ def expected_depth(
 
 def draw_probability(depth: Float[Array, "n steps"], wanted: int) -> Float[Array, "n steps"]:
     """Probability that each step is drawn: at most 1, zero where the depth is, `wanted` in all where so many are occupied."""
-    importance = depth * jnp.exp(-sum_before(depth, BLOCK)) + HIDDEN
+    importance = depth * jnp.exp(-sum_before(depth, BLOCK)) + LEAST_IMPORTANCE
     importance = barrier(jnp.where(depth > 0, importance, 0.0))
     factor = wanted / jnp.maximum(jnp.sum(importance, -1, keepdims=True), 1e-9)
     for _ in range(3):  # what is certain already leaves its share to the others

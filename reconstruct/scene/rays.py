@@ -232,7 +232,7 @@ class Pixels(eqx.Module):
         arrays: list[Any] = [jnp.asarray(array) for array in (colour, direction, owner, origins, radii)]
         return cls(*arrays)
 
-    def lit(self, light: LightFrame, views: tuple[View, ...]) -> "Pixels":
+    def under(self, light: LightFrame, views: tuple[View, ...]) -> "Pixels":
         """The same pixels of these views, with their lamps' frame."""
         found = light.of_views(views)
         return self if found is None else replace(self, light=jnp.asarray(found))

@@ -70,7 +70,7 @@ def prepare(
     if facts is None:
         config, facts, others = decided(scene, pixels, normalisation, possible, matches, config)
         skips = [*others, *skips]
-    pixels = pixels.lit(facts.light, views)
+    pixels = pixels.under(facts.light, views)
     if fresh:
         config = sized(config, facts, pixels)
     config = Config.model_validate_json(distributed.decided_text(config.model_dump_json()))

@@ -68,10 +68,10 @@ class Training:
         if self.pool is not None:
             self.pixels = self.pool.renewed(self.pixels, clock.step)
         self.state, terms = self.advance(self.state, self.pixels, seed, done, count, second)
-        clock.since_look += count
-        if schedule.rules_out_cells(clock.progress) and self.state.model.sampler.upkeep_due(clock.since_look):
+        clock.since_upkeep += count
+        if schedule.rules_out_cells(clock.progress) and self.state.model.sampler.upkeep_due(clock.since_upkeep):
             self.state = self.keep_up(self.state, seed)
-            clock.since_look = 0
+            clock.since_upkeep = 0
         jax.block_until_ready(terms)
         clock.seconds += time.perf_counter() - start
         clock.step += count
@@ -132,6 +132,6 @@ class Training:
         """Checkpoint state and clock, where this process is the one that does."""
         if not distributed.writes():
             return
-        kept = ("seconds", "step", "since_second_pass", "since_look", "passes")
+        kept = ("seconds", "step", "since_second_pass", "since_upkeep", "passes")
         clock = {name: getattr(self.clock, name) for name in kept}
         checkpoint.save(self.run.path / CHECKPOINTS, self.state, clock)

@@ -16,7 +16,7 @@ from koala3d.reconstruct.kernels.loops.frame import argument, argument_size, exe
 
 RAYS = 32
 """Of a chunk."""
-HIDDEN = np.float32(0.02)
+LEAST_IMPORTANCE = np.float32(0.02)
 """As in `reconstruct.sampling.packing`."""
 TINY, LEAST_SHARE = np.float32(1e-9), np.float32(1e-6)
 f4, i4 = np.float32, np.int32
@@ -36,7 +36,7 @@ def _find_importance(depth, steps, importance):
     for i in range(found):
         importance[i] = exp_of_minus(importance[i])
     for i in range(found):
-        importance[i] = importance[i] * depth[np.uint64(steps[i])] + HIDDEN
+        importance[i] = importance[i] * depth[np.uint64(steps[i])] + LEAST_IMPORTANCE
     return found
 
 

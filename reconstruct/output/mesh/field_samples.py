@@ -94,7 +94,7 @@ def _colour(
 ) -> Float[Array, "3 n"]:
     _, material = field(Cloud(points, None, space))
     light = Lit.towards(frame, -normals)
-    return field.shade(field.lit(material, light), -normals, light=light, places=points).rgb
+    return field.shade(field.under_lamps(material, light), -normals, light=light, places=points).rgb
 
 
 @compiled

@@ -25,7 +25,7 @@ class Clock:
     seconds: float = 0.0
     step: int = 0
     since_second_pass: int = 0
-    since_look: int = 0
+    since_upkeep: int = 0
     passes: int = 0
     legs: list[Leg] = field(default_factory=list)
     """One, or with a budget that was corrected half-way two; none as long as a budget's steps are not known."""

@@ -35,7 +35,7 @@ def shaded(appearance: Reflection, raw: jax.Array, normals: jax.Array, rays: Ray
     """Diffuse and specular colour, stacked."""
     lit = Lit.on(rays, t)
     material = eqx.tree_at(lambda m: m.normals_pred, appearance.material(raw, jnp.zeros((3, COUNT))), normals)
-    material = material if lit is None else appearance.lit(material, lit)
+    material = material if lit is None else appearance.under_lamps(material, lit)
     shading = appearance.shade(material, rays.viewdirs.T, light=lit)
     return jnp.concatenate([material.diffuse, shading.specular])
 
@@ -95,7 +95,7 @@ def test_a_lit_material_changes_nothing_but_its_diffuse_colour() -> None:
     @jax.jit
     def both(raw: jax.Array) -> tuple[Material, Material]:
         material = appearance.material(raw, jnp.zeros((3, 4)))
-        return material, appearance.lit(material, light)
+        return material, appearance.under_lamps(material, light)
 
     material, lit = jax.tree.map(np.asarray, both(drawn.normal(appearance.heads + 2, 4)))
     assert (lit.diffuse != material.diffuse).all()

@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from koala3d.reconstruct.sampling.occupancy import Occupancy
-from koala3d.reconstruct.sampling.packing import HIDDEN, draw, draw_probability, expected_depth, packed_samples, select_bit
+from koala3d.reconstruct.sampling.packing import (
+    LEAST_IMPORTANCE,
+    draw,
+    draw_probability,
+    expected_depth,
+    packed_samples,
+    select_bit,
+)
 from koala3d.reconstruct.sampling.samples import RaySamples
 from koala3d.reconstruct.sampling.steps import FRONT, Steps
 from koala3d.reconstruct.scene.space import BALL, BOX
@@ -108,7 +115,7 @@ def test_probabilities_follow_what_each_step_shows_and_sum_to_what_is_wanted() -
     wanted = 16
     found = np.asarray(PROBABILITY(depth, wanted), np.float64)
     exact = depth.astype(np.float64)
-    importance = np.where(exact > 0, exact * np.exp(-(np.cumsum(exact, -1) - exact)) + HIDDEN, 0)
+    importance = np.where(exact > 0, exact * np.exp(-(np.cumsum(exact, -1) - exact)) + LEAST_IMPORTANCE, 0)
     assert ((found > 0) == (exact > 0)).all()
     assert found.max() <= 1
     for row, shares in zip(importance, found, strict=True):

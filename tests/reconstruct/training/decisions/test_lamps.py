@@ -159,9 +159,9 @@ def test_training_keeps_the_frame_and_pictures_use_it(turntable: Scene, small_co
 def test_pixels_have_their_views_lamps(turntable: Scene) -> None:
     views, normalisation = turntable.split("train"), Normalisation.of(turntable)
     pixels = Pixels.load(views, normalisation, 1.0, Quiet())
-    assert pixels.lit(STILL, views) is pixels and pixels.take(jnp.array([0]))[0].light is None
+    assert pixels.under(STILL, views) is pixels and pixels.take(jnp.array([0]))[0].light is None
     frame = LightFrame("camera")
-    lit = pixels.lit(frame, views)
+    lit = pixels.under(frame, views)
     rays, _ = lit.take(jnp.arange(3))
     expected = frame.of_views(views)
     assert expected is not None and rays.light is not None
