@@ -41,7 +41,7 @@ class _Round(eqx.Module):
     """First of the queue that has not begun."""
 
 
-def composite(
+def sums_front_to_back(
     field: Field, rays: Rays, found: Sampled, queue: "Queue", space: Space, *, normals: bool, under_way: int | None = None
 ) -> Float[Array, "rays _"]:
     """Sums of weights, t and `values_of` over each ray of a queue, and of weighted unit density normals if they are wanted.

@@ -17,7 +17,7 @@ from koala3d.datasets.imaging.downscale import streamed
 from koala3d.datasets.scene import View
 from koala3d.reconstruct.numerics.compiling import jit
 from koala3d.reconstruct.numerics.safe import normalise
-from koala3d.reconstruct.rendering.front_to_back import Queue, composite
+from koala3d.reconstruct.rendering.front_to_back import Queue, sums_front_to_back
 from koala3d.reconstruct.rendering.model import Model, seen
 from koala3d.reconstruct.scene.light import STILL, LightFrame
 from koala3d.reconstruct.scene.rays import Normalisation, Rays, view_rays
@@ -181,7 +181,7 @@ class Renderer:
             cut = jnp.where(found.samples.t > furthest, 0.0, found.samples.length)
             found = eqx.tree_at(lambda f: f.samples.length, found, cut)
         queue = Queue.of(found.samples, count)
-        sums = composite(model.field, rays, found, queue, self.normalisation.space, normals=with_normals)
+        sums = sums_front_to_back(model.field, rays, found, queue, self.normalisation.space, normals=with_normals)
 
         def shade(block: Array, values: Float[Array, "rays channels"]) -> Float[Array, "rays channels"]:
             ray = queue.ray[jnp.minimum(block * size + jnp.arange(size), queue.count - 1)]

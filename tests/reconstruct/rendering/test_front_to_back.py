@@ -12,7 +12,7 @@ import pytest
 from koala3d.reconstruct.field.field import Field
 from koala3d.reconstruct.numerics.compiling import jit
 from koala3d.reconstruct.rendering.compositing import composite, sample_weights, values_of
-from koala3d.reconstruct.rendering.front_to_back import Queue, composite
+from koala3d.reconstruct.rendering.front_to_back import Queue, sums_front_to_back
 from koala3d.reconstruct.sampling.sampler import Sampled
 from koala3d.reconstruct.sampling.samples import Footprint, RaySamples, cloud_of
 from koala3d.reconstruct.scene.frustum import Frustum
@@ -55,7 +55,7 @@ def some_field(space: Space, shading: str, density: float = 0.0) -> Field:
 @functools.partial(jit, static_argnums=(4, 5))
 def bit_by_bit(field: Field, rays: Rays, found: Sampled, count: int, space: Space, places: int) -> jax.Array:
     queue = Queue.of(found.samples, count)
-    return composite(field, rays, found, queue, space, normals=True, under_way=places)
+    return sums_front_to_back(field, rays, found, queue, space, normals=True, under_way=places)
 
 
 @functools.partial(jit, static_argnums=3)
