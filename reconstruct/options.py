@@ -20,7 +20,6 @@ def _presets(incomplete: str) -> list[str]:
 
 RunFolder = Annotated[Path, Argument(metavar="RUN", help="Folder made by 'reconstruct train'.")]
 SceneName = Annotated[str, Argument(metavar="SCENE", help="Scene folder, as for 'train'.")]
-SceneNames = Annotated[list[str], Argument(metavar="SCENE...", help="Scene folders, as for 'train'.")]
 NewFolder = Annotated[Path, Option("--out", help="Folder to write; must be new.")]
 StudyFolder = Annotated[Path, Option("--out", help="Folder to write; an interrupted study is resumed.")]
 ModelName = Annotated[str, Option("--model", help="Model, see 'reconstruct models'.", autocompletion=_models)]

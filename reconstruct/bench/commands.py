@@ -7,12 +7,9 @@ from typer import Argument, Context, Option, Typer
 
 from koala3d.datasets.core import console
 from koala3d.reconstruct.bench.asset.command import asset_command
-from koala3d.reconstruct.bench.gpu.command import gpu_command
-from koala3d.reconstruct.options import ModelName, Settings
 
 app = Typer(help="Measure run time against error.", rich_markup_mode=None, invoke_without_command=True)
 
-app.command("gpu")(gpu_command)
 app.command("asset")(asset_command)
 
 
@@ -84,32 +81,6 @@ def compare_command(
     console.report(compare.summary(found), as_json=as_json, text=compare.text(found, everything=everything))
 
 
-@app.command("machine")
-def machine_command(
-    model: ModelName = "surfnerf",
-    limits_only: Annotated[bool, Option("--limits", help="Measure the machine only, no kernels.")] = False,
-    as_json: console.Json = False,
-) -> None:
-    """Measure this machine's limits, and how close each kernel of a training step comes to them."""
-    from koala3d.datasets.core.errors import UsageError
-    from koala3d.reconstruct.bench import context
-    from koala3d.reconstruct.bench.cost import kernels, machine
-    from koala3d.reconstruct.models import load_config
-    from koala3d.reconstruct.sampling.create import sampler_type
-
-    config = load_config(model, "fast")
-    if not sampler_type(config.sampler).rules_out_space:
-        raise UsageError("kernels cannot be measured", where=model, why="only models with an occupancy grid are supported")
-    with console.progress("measuring", 1 if limits_only else 13, "kernels") as bar:
-        limits = machine.limits()
-        bar.advance()
-        measured = [] if limits_only else kernels.rows(kernels.Bench.of(config).kernels(lambda name: bar.advance()), limits)
-    about = context.describe()
-    head = f"{about['machine']}, {about['cores']} cores, load {about['load']}, jax {about['jax']}, commit {about['commit']}"
-    text = "\n".join([head, machine.text(limits), *(["", kernels.text(measured)] if measured else [])])
-    console.report({**about, "limits": [vars(limit) for limit in limits], "kernels": measured}, as_json=as_json, text=text)
-
-
 @app.command("scenes")
 def scenes_command(
     out: Annotated[Path, Option("--out", help="Folder to write; existing scenes in it are kept.")],
@@ -139,30 +110,3 @@ def scenes_command(
                 written.append(name)
     text = "\n".join(f"{out / name}{'' if name in written else '  (existed already)'}" for name in chosen)
     console.report({"scenes": [str(out / name) for name in chosen], "written": written}, as_json=as_json, text=text)
-
-
-@app.command("surfaces")
-def surfaces_command(
-    name: Annotated[str, Argument(metavar="SCENE", help="Name of a rendered scene.")],
-    made_in: Annotated[
-        Path, Option("--in", help="Folder that `reconstruct bench scenes` wrote; the scene is made if it is missing.")
-    ],
-    model: ModelName = "surfnerf",
-    settings: Settings = None,
-    as_json: console.Json = False,
-) -> None:
-    """Train a rendered scene, and count on the way how many first surfaces are where the surface is, by each rule."""
-    from koala3d.datasets.core.errors import UsageError, nearest
-    from koala3d.datasets.formats import load_scene
-    from koala3d.reconstruct.backend import cache_compilations
-    from koala3d.reconstruct.bench import first_surfaces
-    from koala3d.reconstruct.bench.scenes import make, stages
-    from koala3d.reconstruct.models import load_config
-
-    if name not in stages.STAGES:
-        raise UsageError(f"there is no scene '{name}'", remedy=nearest(name, stages.STAGES))
-    cache_compilations()
-    make.provide(name, made_in / name)
-    config = load_config(model, "fast", settings or [])
-    found = first_surfaces.watch(load_scene(made_in / name), made_in / name, stages.STAGES[name].tracer(), config)
-    console.report({"surfaces": [vars(seen) for seen in found]}, as_json=as_json, text=first_surfaces.table(found))

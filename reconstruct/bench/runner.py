@@ -70,8 +70,6 @@ def measure(one: Trial, place: Path, out: Path, settings: Sequence[str] = (), **
             found = _in_a_process(one, place, Path(folder), settings, environment)
         except KoalaError as error:
             return {**row, "status": f"failed: {error.why}"}
-    if "profile" in found:
-        _keep_profile(one, found.pop("profile"), out)
     return {**row, "status": DONE, **found}
 
 
@@ -112,8 +110,3 @@ def profiles(out: Path) -> dict[str, Any]:
     """Profiles by the trial's name; empty without any."""
     path = out / PROFILES
     return files.read_json(path, kind=PROFILES_FORMAT, version=PROFILES_VERSION)["profiles"] if path.is_file() else {}
-
-
-def _keep_profile(one: Trial, found: dict[str, Any], out: Path) -> None:
-    content = {"format": PROFILES_FORMAT, "version": PROFILES_VERSION, "profiles": profiles(out) | {one.name: found}}
-    files.write_json(out / PROFILES, content)

@@ -17,8 +17,8 @@ from koala3d.reconstruct.bench.scenes.near.scenes import NEAR
 from koala3d.reconstruct.bench.scenes.shiny import SCENES
 from koala3d.reconstruct.bench.scenes.stages import BENCHMARK
 
-QUALITY, COST, PROFILE = "quality", "cost", "profile"
-"""Kinds of trials: error after a budget; time and memory for a number of images; profile of a step."""
+QUALITY, COST = "quality", "cost"
+"""Kinds of trials: error after a budget; time and memory for a number of images."""
 BUDGETS_S = (15.0, 30.0, 60.0, 120.0, 300.0)
 REAL = ("lego400", "mold_gold_cape")  # scenes that are used if they are found
 
@@ -72,14 +72,12 @@ SUITES: dict[str, tuple[Block, ...]] = {
         Block((("gold_rings", 1.0), ("lego400", 0.5)), budgets_s=(15.0, 30.0), seeds=(0, 1)),
         Block((("gold_rings", 1.0),), models=("lattice_refnerf",), budgets_s=(15.0, 30.0), seeds=(0,)),
         Block((("lego400", 0.25), ("lego400", 0.5)), budgets_s=(5.0,), seeds=(0,), kind=COST, views=(50, 0)),
-        Block((("gold_rings", 1.0),), budgets_s=(15.0,), seeds=(0,), kind=PROFILE),
     ),
     "full": (
         Block((*SHINY, *LEGO[1:], CAPE), models=("surfnerf", "lattice_refnerf", "zip_refnerf", "zipnerf")),
         Block(UNDER_NEAR_LAMPS, models=("surfnerf", "zip_refnerf_published"), budgets_s=(60.0, 120.0)),
         Block((("gold_rings", 1.0), ("lego400", 0.5)), presets=("paper",), budgets_s=(300.0,), seeds=(0,)),
         Block(LEGO, budgets_s=(10.0,), seeds=(0, 1), kind=COST, views=(25, 50, 0)),
-        Block((("gold_rings", 1.0), ("lego400", 0.5), CAPE), budgets_s=(30.0,), seeds=(0,), kind=PROFILE),
     ),
 }
 """quick: within ten minutes on two cores. full: about twenty hours."""

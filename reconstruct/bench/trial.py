@@ -14,7 +14,7 @@ from typing import Any
 from koala3d.datasets.core import files
 from koala3d.datasets.formats import load_scene
 from koala3d.datasets.scene import Scene
-from koala3d.reconstruct.bench.suite import COST, PROFILE, QUALITY, Trial
+from koala3d.reconstruct.bench.suite import COST, QUALITY, Trial
 
 KIND, VERSION = "koala-bench-trial", 1
 
@@ -34,9 +34,7 @@ def main(arguments: list[str]) -> None:
     before = _entries(cache_folder())
     cache_compilations()
     scene = chosen_views(load_scene(place, measure=True), trial.views)
-    result = {QUALITY: quality, COST: cost, PROFILE: profile}[trial.kind](
-        trial, scene, place, Path(content["run"]), content["settings"]
-    )
+    result = {QUALITY: quality, COST: cost}[trial.kind](trial, scene, place, Path(content["run"]), content["settings"])
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     result |= {"peak_memory_mb": peak, "cold": int(_entries(cache_folder()) > before)}
     files.write_json(Path(arguments[1]), {"format": KIND, "version": VERSION, **result})
@@ -102,15 +100,6 @@ def cost(trial: Trial, scene: Scene, place: Path, out: Path, settings: Sequence[
     start = time.perf_counter()
     ready.picture(view)
     return {**found, "seconds": time.perf_counter() - start}
-
-
-def profile(trial: Trial, scene: Scene, place: Path, out: Path, settings: Sequence[str]) -> dict[str, Any]:
-    """Train, then profile further steps."""
-    from koala3d.reconstruct.bench.cost.profile import step_profile
-    from koala3d.reconstruct.output.trained_model import TrainedModel
-
-    found = trained_work(trial, scene, place, out, settings)
-    return {**found, "profile": step_profile(TrainedModel.open(out), scene)}
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Commands for a trained run: figures, eval, render, film, mesh, report."""
+"""Commands for a trained run: eval, render, film, mesh, report."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -31,20 +31,6 @@ CameraPath = Annotated[
 _ON = "Side of the box that the object stands on, e.g. -z."
 _REMOVES = "Removes the table top, and whatever enters the box through other sides, from the mesh."
 StandsOn = Annotated[str | None, Option("--stands-on", metavar="SIDE", callback=_side, help=f"{_ON} {_REMOVES}")]
-
-
-@app.command()
-def figures(
-    run: RunFolder,
-    out: NewFolder,
-    steps: Annotated[int, Option(min=1, help="Steps of the short training for the figure of ray weights.")] = 600,
-    as_json: console.Json = False,
-) -> None:
-    """Draw the figures of the paper's supplement from the code and a trained run."""
-    from koala3d.reconstruct.output.paper_figures import draw_all
-
-    result = draw_all(opened(run), out, steps=steps)
-    console.report(result, as_json=as_json, text="\n".join(result["figures"]))
 
 
 @app.command("eval")

@@ -1,1 +1,1 @@
-"""Studies of several trainings: ablations, sweeps, tables, the cost of each skip."""
+"""Studies of several trainings: ablations, sweeps, tables."""

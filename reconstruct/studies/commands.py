@@ -1,4 +1,4 @@
-"""Commands that train and compare several runs: table, ablate, skips, sweep."""
+"""Commands that train and compare several runs: table, ablate, sweep."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -6,7 +6,7 @@ from typing import Annotated, Any
 from typer import Argument, Option, Typer
 
 from koala3d.datasets.core import console
-from koala3d.reconstruct.options import Budget, ModelName, Preset, SceneName, SceneNames, Seeds, Settings, StudyFolder
+from koala3d.reconstruct.options import Budget, ModelName, Preset, SceneName, Seeds, Settings, StudyFolder
 
 app = Typer()
 
@@ -54,25 +54,6 @@ def ablate(
         return console.report({"cells": study.cells}, as_json=as_json, text=text)
     cache_compilations()
     _report_table(ablate.run(study, out), out, as_json)
-
-
-@app.command()
-def skips(
-    scenes: SceneNames,
-    out: StudyFolder,
-    names: Annotated[list[str] | None, Option("--skip", metavar="NAME", help="Skip to measure; repeatable.")] = None,
-    model: ModelName = "surfnerf",
-    preset: Preset = "fast",
-    set_: Settings = None,
-    as_json: console.Json = False,
-) -> None:
-    """Measure the error and the time saved by each skip, training with and without it."""
-    from koala3d.reconstruct.backend import cache_compilations
-    from koala3d.reconstruct.studies import skips
-
-    cache_compilations()
-    results = skips.run(scenes, out, names=names or (), model=model, preset=preset, overrides=set_ or ())
-    console.report({"skips": skips.rows(results)}, as_json=as_json, text=f"{skips.markdown(results).rstrip()}\n{out}")
 
 
 @app.command()

@@ -1,4 +1,4 @@
-"""What ablations, sweeps and comparisons of skips have in common: trainings that are resumed, in a folder that is extended."""
+"""What ablations and sweeps have in common: trainings that are resumed, in a folder that is extended."""
 
 import shutil
 from collections.abc import Mapping, Sequence

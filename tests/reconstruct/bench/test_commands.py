@@ -19,7 +19,7 @@ def invoke(*words: str | Path):
 
 def test_the_plan_trains_nothing() -> None:
     told = json.loads(invoke("--plan", "--json").stdout)
-    assert len(told["trials"]) == 15 and told["training_s"] == 260
+    assert len(told["trials"]) == 14 and told["training_s"] == 245
 
 
 def test_out_is_needed_and_names_are_checked(tmp_path: Path) -> None:
