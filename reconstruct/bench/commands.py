@@ -94,7 +94,7 @@ def scenes_command(
     """Render scenes whose shape and light are known exactly: five under distant light, five under near lamps."""
     from koala3d.datasets.core.errors import UsageError, nearest
     from koala3d.reconstruct.backend import cache_compilations
-    from koala3d.reconstruct.bench.scenes import make, stages
+    from koala3d.reconstruct.rendered import make, stages
 
     if layout not in (layouts := ("koala", "blender", "llff")):
         raise UsageError(f"scenes are not written as '{layout}'", where="--format", remedy=nearest(layout, layouts))

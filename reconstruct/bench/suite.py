@@ -12,10 +12,10 @@ from typing import Any
 
 from koala3d.datasets.core.errors import UsageError, nearest
 from koala3d.datasets.formats import find
-from koala3d.reconstruct.bench.scenes import make
-from koala3d.reconstruct.bench.scenes.near.scenes import NEAR
-from koala3d.reconstruct.bench.scenes.shiny import SCENES
-from koala3d.reconstruct.bench.scenes.stages import BENCHMARK
+from koala3d.reconstruct.rendered import make
+from koala3d.reconstruct.rendered.near.scenes import NEAR
+from koala3d.reconstruct.rendered.shiny import SCENES
+from koala3d.reconstruct.rendered.stages import BENCHMARK
 
 QUALITY, COST = "quality", "cost"
 """Kinds of trials: error after a budget; time and memory for a number of images."""

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from koala3d.reconstruct.bench.records import Row
-from koala3d.reconstruct.bench.scenes.shiny import SCENES
 from koala3d.reconstruct.output.metric_names import HIGHER_IS_BETTER
+from koala3d.reconstruct.rendered.shiny import SCENES
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,12 @@ from koala3d.datasets.core import files
 from koala3d.datasets.core.console import progress
 from koala3d.datasets.imaging import images
 from koala3d.datasets.scene import View
-from koala3d.reconstruct.asset.stage import reading
-from koala3d.reconstruct.asset.stage.stage import Stage, over_white
 from koala3d.reconstruct.bench.asset import relighting
 from koala3d.reconstruct.output import metrics
 from koala3d.reconstruct.output.evaluate import METRICS, current, read_truth
 from koala3d.reconstruct.output.trained_model import TrainedModel
+from koala3d.reconstruct.path_tracing import reading
+from koala3d.reconstruct.path_tracing.stage import Stage, over_white
 
 KEY = "asset"
 """Of the figures in metrics.json."""

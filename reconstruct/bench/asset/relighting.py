@@ -15,14 +15,14 @@ from koala3d.datasets.core.console import progress
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.imaging import images
 from koala3d.datasets.scene import View
-from koala3d.reconstruct.asset.stage.reading import StoredAsset
-from koala3d.reconstruct.asset.stage.stage import Stage, over_white
 from koala3d.reconstruct.asset.writing import environment
-from koala3d.reconstruct.bench.scenes.light import Light
-from koala3d.reconstruct.bench.scenes.shiny import SCENES
-from koala3d.reconstruct.bench.scenes.views import Traced
 from koala3d.reconstruct.output import metrics
 from koala3d.reconstruct.output.trained_model import TrainedModel
+from koala3d.reconstruct.path_tracing.reading import StoredAsset
+from koala3d.reconstruct.path_tracing.stage import Stage, over_white
+from koala3d.reconstruct.rendered.light import Light
+from koala3d.reconstruct.rendered.shiny import SCENES
+from koala3d.reconstruct.rendered.views import Traced
 
 HEIGHT = 256  # rows of the light's picture
 SHARP = 1e6  # concentration of a lobe that leaves the light as it is

@@ -10,13 +10,13 @@ from koala3d.datasets import pose
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.core.mitsuba_variant import SURE
 from koala3d.reconstruct.asset import asset as assets
-from koala3d.reconstruct.asset.stage import trial
-from koala3d.reconstruct.asset.stage.reading import StoredAsset
 from koala3d.reconstruct.bench.asset import relighting
-from koala3d.reconstruct.bench.scenes.light import Light
-from koala3d.reconstruct.bench.scenes.shiny import RADIUS_M, chrome_ball
-from koala3d.reconstruct.bench.scenes.views import Traced
 from koala3d.reconstruct.output.trained_model import TrainedModel
+from koala3d.reconstruct.path_tracing import trial
+from koala3d.reconstruct.path_tracing.reading import StoredAsset
+from koala3d.reconstruct.rendered.light import Light
+from koala3d.reconstruct.rendered.shiny import RADIUS_M, chrome_ball
+from koala3d.reconstruct.rendered.views import Traced
 
 
 def chrome() -> StoredAsset:

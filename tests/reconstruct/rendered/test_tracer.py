@@ -4,9 +4,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from koala3d.reconstruct.bench.scenes.light import MATTE, Light
-from koala3d.reconstruct.bench.scenes.solids import ball, placed
-from koala3d.reconstruct.bench.scenes.tracer import Body, Material, Tracer
+from koala3d.reconstruct.rendered.light import MATTE, Light
+from koala3d.reconstruct.rendered.solids import ball, placed
+from koala3d.reconstruct.rendered.tracer import Body, Material, Tracer
 
 SILVER = Material((0.0, 0.0, 0.0), (0.9, 0.9, 0.9), 300.0)
 CLAY = Material((0.5, 0.4, 0.3), (0.0, 0.0, 0.0), 10.0)

@@ -12,12 +12,12 @@ from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.formats import load_scene
 from koala3d.datasets.imaging import images
 from koala3d.datasets.scene import Scene
-from koala3d.reconstruct.bench.scenes import make, shiny
-from koala3d.reconstruct.bench.scenes.make import provide, write, write_mesh
-from koala3d.reconstruct.bench.scenes.stages import spiral_poses
-from koala3d.reconstruct.bench.scenes.views import Traced, camera_of
 from koala3d.reconstruct.output import metrics
 from koala3d.reconstruct.output.mesh.surface_distance import Surface
+from koala3d.reconstruct.rendered import make, shiny
+from koala3d.reconstruct.rendered.make import provide, write, write_mesh
+from koala3d.reconstruct.rendered.stages import spiral_poses
+from koala3d.reconstruct.rendered.views import Traced, camera_of
 
 
 @pytest.fixture(scope="module")

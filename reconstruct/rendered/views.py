@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koala3d.datasets.camera_model import Camera
-from koala3d.reconstruct.bench.scenes.shiny import RADIUS_M
-from koala3d.reconstruct.bench.scenes.tracer import Tracer
+from koala3d.reconstruct.rendered.shiny import RADIUS_M
+from koala3d.reconstruct.rendered.tracer import Tracer
 
 DISTANCE_M = 0.6
 """Distance of the cameras from the centre."""

@@ -9,8 +9,8 @@ from functools import cached_property
 
 import numpy as np
 
-from koala3d.reconstruct.bench.scenes.light import Light
-from koala3d.reconstruct.bench.scenes.near.materials import (
+from koala3d.reconstruct.rendered.light import Light
+from koala3d.reconstruct.rendered.near.materials import (
     Coated,
     Glass,
     Material,
@@ -23,9 +23,9 @@ from koala3d.reconstruct.bench.scenes.near.materials import (
     plain,
     veins,
 )
-from koala3d.reconstruct.bench.scenes.shiny import CHROME
-from koala3d.reconstruct.bench.scenes.solids import Distance, ball, blended, block, placed, puck, rod, torus
-from koala3d.reconstruct.bench.scenes.tracer import Body, Tracer
+from koala3d.reconstruct.rendered.shiny import CHROME
+from koala3d.reconstruct.rendered.solids import Distance, ball, blended, block, placed, puck, rod, torus
+from koala3d.reconstruct.rendered.tracer import Body, Tracer
 
 LAMPS = 3
 LAMP_DISTANCE, LAMP_RADIUS = 5.6, 0.5

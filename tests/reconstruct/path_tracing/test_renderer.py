@@ -12,9 +12,9 @@ from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core.mitsuba_variant import SURE
 from koala3d.reconstruct.asset import sphere
 from koala3d.reconstruct.asset.light import Light
-from koala3d.reconstruct.asset.stage import trial
-from koala3d.reconstruct.asset.stage.reading import StoredAsset
 from koala3d.reconstruct.asset.writing import environment
+from koala3d.reconstruct.path_tracing import trial
+from koala3d.reconstruct.path_tracing.reading import StoredAsset
 
 pytest.importorskip("mitsuba", reason="Mitsuba is absent: pip install 'koala-capture[sim]'")
 CAMERA = Camera(24, 24, 48.0, 48.0, 12.0, 12.0)
@@ -44,7 +44,7 @@ def tile(**changes: Any) -> StoredAsset:
 def picture(
     asset: StoredAsset, light: Any, *, from_: tuple[float, ...] = (0.0, 0.0, 3.0), paths: int = 16, turn: float = 0.0
 ) -> np.ndarray:
-    from koala3d.reconstruct.asset.stage.renderer import Renderer
+    from koala3d.reconstruct.path_tracing.renderer import Renderer
 
     place = pose.look_at(np.array(from_), np.zeros(3), up=np.array([0.0, 1, 0]))
     renderer = Renderer(asset, light, using=SURE)

@@ -13,10 +13,10 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import NDArray
 
-from koala3d.reconstruct.bench.scenes.lamps import Lamps, arriving
-from koala3d.reconstruct.bench.scenes.light import MATTE
-from koala3d.reconstruct.bench.scenes.solids import Distance, normals
 from koala3d.reconstruct.numerics.safe import safe_norm
+from koala3d.reconstruct.rendered.lamps import Lamps, arriving
+from koala3d.reconstruct.rendered.light import MATTE
+from koala3d.reconstruct.rendered.solids import Distance, normals
 
 ON_SURFACE = 1e-5  # a ray has hit below this distance [radius of the scene]
 STEPS, ROUNDS = 16, 16  # steps between selections of the rays that continue, and the maximum number of these

@@ -10,11 +10,12 @@ from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core.mitsuba_variant import variant
 from koala3d.datasets.imaging import images
 from koala3d.datasets.scene import View
-from koala3d.reconstruct.asset.stage import lens
-from koala3d.reconstruct.asset.stage.reading import StoredAsset
 from koala3d.reconstruct.errors import ReconstructError
+from koala3d.reconstruct.path_tracing import lens
+from koala3d.reconstruct.path_tracing.reading import StoredAsset
 
-TRIAL = "koala3d.reconstruct.asset.stage.trial"
+TRIAL = "koala3d.reconstruct.path_tracing.trial"
+"""Module that tries a variant of Mitsuba."""
 
 
 class Stage:
@@ -33,7 +34,7 @@ class Stage:
             images.read(light)  # says what is wrong with it better than the renderer
         require_mitsuba()
         self.using = using or variant(TRIAL)  # before Mitsuba is imported, which loads LLVM
-        from koala3d.reconstruct.asset.stage.renderer import Renderer
+        from koala3d.reconstruct.path_tracing.renderer import Renderer
 
         self._renderer = Renderer(asset, light, using=self.using)
 

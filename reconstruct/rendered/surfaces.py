@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.reconstruct.bench.scenes.tracer import Tracer
+from koala3d.reconstruct.rendered.tracer import Tracer
 
 MESH_CELLS = 160
 """Cells per axis of the grid for marching cubes."""

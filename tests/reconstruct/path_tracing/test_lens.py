@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from koala3d.datasets.camera_model import Camera
-from koala3d.reconstruct.asset.stage import lens
+from koala3d.reconstruct.path_tracing import lens
 
 
 def shown(directions: np.ndarray) -> np.ndarray:

@@ -1,6 +1,6 @@
 """Renders a small picture of a ball in even light, then exits with 0. Run in a child, which may crash.
 
-python -m koala3d.reconstruct.asset.stage.trial llvm_ad_rgb
+python -m koala3d.reconstruct.path_tracing.trial llvm_ad_rgb
 """
 
 import sys
@@ -9,7 +9,7 @@ import numpy as np
 
 from koala3d.datasets import pose
 from koala3d.datasets.camera_model import Camera
-from koala3d.reconstruct.asset.stage.reading import StoredAsset
+from koala3d.reconstruct.path_tracing.reading import StoredAsset
 
 
 def ball() -> StoredAsset:
@@ -26,7 +26,7 @@ def ball() -> StoredAsset:
 
 def main(using: str) -> int:
     """Return 0 if the variant `using` shows a ball with finite values."""
-    from koala3d.reconstruct.asset.stage.renderer import Renderer
+    from koala3d.reconstruct.path_tracing.renderer import Renderer
 
     camera = Camera(16, 16, 24.0, 24.0, 8.0, 8.0)
     place = pose.look_at(np.array([0.0, 0.0, 4.0]), np.zeros(3), up=np.array([0.0, 1.0, 0.0]))

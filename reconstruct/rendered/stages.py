@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koala3d.datasets import pose
-from koala3d.reconstruct.bench.scenes.lamps import Ring
-from koala3d.reconstruct.bench.scenes.near.scenes import NEAR, NearScene
-from koala3d.reconstruct.bench.scenes.near.views import Lit
-from koala3d.reconstruct.bench.scenes.shiny import RADIUS_M, SCENES
-from koala3d.reconstruct.bench.scenes.tracer import Tracer
-from koala3d.reconstruct.bench.scenes.views import DISTANCE_M, Traced, Views
+from koala3d.reconstruct.rendered.lamps import Ring
+from koala3d.reconstruct.rendered.near.scenes import NEAR, NearScene
+from koala3d.reconstruct.rendered.near.views import Lit
+from koala3d.reconstruct.rendered.shiny import RADIUS_M, SCENES
+from koala3d.reconstruct.rendered.tracer import Tracer
+from koala3d.reconstruct.rendered.views import DISTANCE_M, Traced, Views
 
 TRAINED_DEG, TESTED_DEG = (5.0, 30.0, 55.0), (18.0, 42.0)
 """Heights of the rings of cameras above the horizon."""

@@ -5,9 +5,9 @@ Each lies inside a ball of 0.12 m about the origin, in front of a white backgrou
 
 from collections.abc import Callable
 
-from koala3d.reconstruct.bench.scenes.light import Light
-from koala3d.reconstruct.bench.scenes.solids import ball, blended, block, placed, puck, rod, torus
-from koala3d.reconstruct.bench.scenes.tracer import Body, Material, Tracer
+from koala3d.reconstruct.rendered.light import Light
+from koala3d.reconstruct.rendered.solids import ball, blended, block, placed, puck, rod, torus
+from koala3d.reconstruct.rendered.tracer import Body, Material, Tracer
 
 EDITION = 1
 RADIUS_M = 0.12  # radius of the ball that contains each scene [m]: the tracer's unit

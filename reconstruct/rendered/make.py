@@ -18,11 +18,11 @@ from koala3d.datasets.formats import detect, load_scene, save_scene
 from koala3d.datasets.imaging import images
 from koala3d.datasets.scene import Scene, View
 from koala3d.datasets.structure import bounds
-from koala3d.reconstruct.bench.scenes.shiny import EDITION, RADIUS_M
-from koala3d.reconstruct.bench.scenes.stages import STAGES
-from koala3d.reconstruct.bench.scenes.surfaces import MESH_CELLS, surface_of
-from koala3d.reconstruct.bench.scenes.tracer import Tracer
-from koala3d.reconstruct.bench.scenes.views import camera_of
+from koala3d.reconstruct.rendered.shiny import EDITION, RADIUS_M
+from koala3d.reconstruct.rendered.stages import STAGES
+from koala3d.reconstruct.rendered.surfaces import MESH_CELLS, surface_of
+from koala3d.reconstruct.rendered.tracer import Tracer
+from koala3d.reconstruct.rendered.views import camera_of
 
 SIZE, TRAIN, TEST = 200, 60, 20
 """Width and height of the images in pixels, and numbers of training and test views."""

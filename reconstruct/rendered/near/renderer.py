@@ -1,4 +1,4 @@
-"""Light of a near scene by Mitsuba's path tracer. Imports Mitsuba, whose variant is to be chosen before.
+"""Light of a near scene by Mitsuba's path tracer, whose variant is to be chosen before.
 
 Light is told apart by what the camera sees first. Metal and glass have specular light only, matte surfaces diffuse light only.
 Where a material has both, the scene is rendered with either part of it: their sum is the picture, as long as the solid is
@@ -8,15 +8,14 @@ convex and alone and so receives none of its own light.
 from dataclasses import dataclass
 from typing import Any, Literal
 
-import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
 from koala3d.datasets.camera_model import Camera
-from koala3d.reconstruct.asset.stage.sensor import MITSUBA_FROM_OPENCV, pinhole
-from koala3d.reconstruct.bench.scenes.near.materials import Coated, Glass, Material, Matte, Metal, Partly
-from koala3d.reconstruct.bench.scenes.near.scenes import LAMP_RADIUS, ROOM, NearScene
 from koala3d.reconstruct.errors import ReconstructError
+from koala3d.reconstruct.path_tracing.tracing import PathTraced, choose, mesh, surroundings
+from koala3d.reconstruct.rendered.near.materials import Coated, Glass, Material, Matte, Metal, Partly
+from koala3d.reconstruct.rendered.near.scenes import LAMP_RADIUS, ROOM, NearScene
 
 EDGES, CLEAR_EDGES = 6, 12
 """Most edges of a light path, without glass and with it."""
@@ -48,16 +47,10 @@ class Renderer:
     """A near scene, loaded for rendering from any camera."""
 
     def __init__(self, scene: NearScene, meshes: tuple[Mesh, ...], *, using: str) -> None:
-        mi.set_variant(using)
-        mi.set_log_level(mi.LogLevel.Error)
+        choose(using)
         materials = [part.material for part in scene.parts]
         kinds: tuple[Kind, ...] = ("diffuse", "specular") if _mixed(materials) else ("all",)
-        surroundings = {"room": _room(scene), **_lamps(scene)}
-        self._scenes = {
-            kind: mi.load_dict({"type": "scene", **surroundings, **_shapes(materials, meshes, kind)}) for kind in kinds
-        }
-        depth = CLEAR_EDGES if any(isinstance(material, Glass) for material in materials) else EDGES
-        self._light = mi.load_dict({"type": "path", "max_depth": depth, "rr_depth": depth, "hide_emitters": True})
+        self._scenes = {kind: loaded(scene, meshes, kind) for kind in kinds}
         self._is_diffuse = np.array([isinstance(material, Matte) for material in materials])
 
     def parts_of_light(
@@ -80,12 +73,10 @@ class Renderer:
 
         A path that grazes rough metal may carry a value that is not finite; its pixel is drawn again.
         """
-        sensor = _sensor(camera, scene_from_camera)
-        render: Any = mi.render  # its stubs do not accept an int as seed
         light = np.full((camera.height, camera.width, 3), np.nan)
         for again in range(DRAWS):
             drawn = (seed + again) % 2**32
-            picture = np.array(render(self._scenes[kind], sensor=sensor, integrator=self._light, spp=PATHS, seed=drawn), float)
+            picture = self._scenes[kind].picture(camera, scene_from_camera, paths=PATHS, seed=drawn).astype(float)
             missing = ~np.isfinite(light).all(-1)
             light[missing] = (picture[..., :3] / np.maximum(picture[..., 3:], 0.5 / PATHS))[missing]
             if np.isfinite(light).all():
@@ -93,6 +84,14 @@ class Renderer:
         raise ReconstructError(
             "light is not finite", why=f"{DRAWS} pictures have it in the same pixel", remedy="set KOALA_RENDERER=scalar_rgb"
         )
+
+
+def loaded(scene: NearScene, meshes: tuple[Mesh, ...], kind: Kind) -> PathTraced:
+    """The scene with one kind of light, or all of it."""
+    materials = [part.material for part in scene.parts]
+    shapes = {f"part{number}": _shape(*pair, kind) for number, pair in enumerate(zip(materials, meshes, strict=True))}
+    edges = CLEAR_EDGES if any(isinstance(material, Glass) for material in materials) else EDGES
+    return PathTraced({"room": _room(scene), **_lamps(scene), **shapes}, edges=edges, clip=(0.05, 100.0))
 
 
 def _mixed(materials: list[Material]) -> bool:
@@ -106,7 +105,7 @@ def _room(scene: NearScene) -> dict[str, Any]:
     # column u looks along (sin, cos down, -cos) of the angle 2 pi u in Mitsuba's frame
     looking = np.stack([np.sin(down) * np.sin(around), np.cos(down), -np.sin(down) * np.cos(around)]).reshape(3, -1)
     light = ROOM * np.asarray(scene.room.convolved(SCENE_FROM_ROOM[:3, :3] @ looking, SHARP)).T.reshape(rows, columns, 3)
-    return {"type": "envmap", "bitmap": mi.Bitmap(light.astype(np.float32)), "to_world": _transform(SCENE_FROM_ROOM)}
+    return surroundings(light, SCENE_FROM_ROOM)
 
 
 def _lamps(scene: NearScene) -> dict[str, Any]:
@@ -117,28 +116,15 @@ def _lamps(scene: NearScene) -> dict[str, Any]:
     }
 
 
-def _shapes(materials: list[Material], meshes: tuple[Mesh, ...], kind: Kind) -> dict[str, Any]:
-    return {f"part{number}": _shape(*pair, kind) for number, pair in enumerate(zip(materials, meshes, strict=True))}
-
-
-def _shape(material: Material, mesh: Mesh, kind: Kind) -> Any:
-    properties = mi.Properties()
-    properties["bsdf"] = mi.load_dict(_bsdf(material, kind))
+def _shape(material: Material, part: Mesh, kind: Kind) -> Any:
     brushed = isinstance(material, Metal) and material.across is not None
-    has = {"has_vertex_normals": True, "has_vertex_texcoords": brushed}
-    shape = mi.Mesh("part", len(mesh.vertices), len(mesh.faces), props=properties, **has)
-    values = mi.traverse(shape)
-    values["vertex_positions"] = mesh.vertices.astype(np.float32).ravel()
-    values["faces"] = mesh.faces.astype(np.uint32).ravel()
-    values["vertex_normals"] = mesh.normals.astype(np.float32).ravel()
-    if brushed:  # u grows along circles around x: tangents need no map without seams
-        values["vertex_texcoords"] = mesh.vertices[:, [2, 0]].astype(np.float32).ravel()
-    values.update()
+    uv = part.vertices[:, [2, 0]] if brushed else None  # u grows along circles around x: tangents need no map without seams
+    attributes = {}
     if isinstance(material, Matte | Partly):
-        shape.add_attribute("vertex_colour", 3, material.colour(mesh.vertices).astype(np.float32).ravel())
+        attributes["vertex_colour"] = material.colour(part.vertices)
     if isinstance(material, Coated | Partly):
-        shape.add_attribute("vertex_share", 1, material.share(mesh.vertices).astype(np.float32).ravel())
-    return shape
+        attributes["vertex_share"] = material.share(part.vertices)
+    return mesh(_bsdf(material, kind), part.vertices, part.normals, part.faces, uv=uv, attributes=attributes)
 
 
 def _bsdf(material: Material, kind: Kind) -> dict[str, Any]:
@@ -164,12 +150,3 @@ def _bsdf(material: Material, kind: Kind) -> dict[str, Any]:
 def _blended(first: dict[str, Any], second: dict[str, Any]) -> dict[str, Any]:
     weight = {"type": "mesh_attribute", "name": "vertex_share"}
     return {"type": "blendbsdf", "weight": weight, "first": first, "second": second}
-
-
-def _sensor(camera: Camera, scene_from_camera: NDArray[np.float64]) -> Any:
-    return mi.load_dict(pinhole(camera, _transform(scene_from_camera @ MITSUBA_FROM_OPENCV), clip=(0.05, 100.0)))
-
-
-def _transform(matrix: NDArray[np.float64]) -> Any:
-    transform: Any = mi.ScalarTransform4f  # its stubs do not accept a matrix
-    return transform(matrix)

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core.mitsuba_variant import variant
-from koala3d.reconstruct.bench.scenes.near.scenes import NearScene
-from koala3d.reconstruct.bench.scenes.shiny import CHROME, RADIUS_M
-from koala3d.reconstruct.bench.scenes.surfaces import surface_of
-from koala3d.reconstruct.bench.scenes.tracer import Body, Tracer
-from koala3d.reconstruct.bench.scenes.views import FineRays, Maps, averaged, fine_camera
+from koala3d.reconstruct.path_tracing.stage import TRIAL
+from koala3d.reconstruct.rendered.near.scenes import NearScene
+from koala3d.reconstruct.rendered.shiny import CHROME, RADIUS_M
+from koala3d.reconstruct.rendered.surfaces import surface_of
+from koala3d.reconstruct.rendered.tracer import Body, Tracer
+from koala3d.reconstruct.rendered.views import FineRays, Maps, averaged, fine_camera
 
-TRIAL = "koala3d.reconstruct.bench.scenes.near.trial"
 CELLS = 256
 """Cells per axis of the grid that a part's mesh is taken from: 0.9 mm."""
 
@@ -35,7 +35,7 @@ class Lit:
     def _renderer(self) -> Any:
         using = self.using or variant(TRIAL)  # before Mitsuba is imported, which loads LLVM
 
-        from koala3d.reconstruct.bench.scenes.near.renderer import Mesh, Renderer
+        from koala3d.reconstruct.rendered.near.renderer import Mesh, Renderer
 
         alone = (Tracer((Body(part.solid, CHROME),), self.scene.room) for part in self.scene.parts)
         meshes = tuple(Mesh(*surface_of(tracer, self.cells)) for tracer in alone)

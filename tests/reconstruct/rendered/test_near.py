@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from koala3d.datasets.core.mitsuba_variant import SURE
-from koala3d.reconstruct.bench.scenes.near.materials import Coated, Glass, Matte, Metal, Partly
-from koala3d.reconstruct.bench.scenes.near.scenes import LAMP_DISTANCE, LAMP_RADIUS, NEAR
-from koala3d.reconstruct.bench.scenes.near.views import Lit
-from koala3d.reconstruct.bench.scenes.shiny import RADIUS_M
-from koala3d.reconstruct.bench.scenes.stages import BENCHMARK, STAGES, spiral_poses
-from koala3d.reconstruct.bench.scenes.views import DISTANCE_M, Maps, camera_of
+from koala3d.reconstruct.rendered.near.materials import Coated, Glass, Matte, Metal, Partly
+from koala3d.reconstruct.rendered.near.scenes import LAMP_DISTANCE, LAMP_RADIUS, NEAR
+from koala3d.reconstruct.rendered.near.views import Lit
+from koala3d.reconstruct.rendered.shiny import RADIUS_M
+from koala3d.reconstruct.rendered.stages import BENCHMARK, STAGES, spiral_poses
+from koala3d.reconstruct.rendered.views import DISTANCE_M, Maps, camera_of
 
 SIZE, CELLS = 20, 40
 POSES = spiral_poses(6, 0)
@@ -49,15 +49,12 @@ def test_matte_is_diffuse_and_metal_specular() -> None:
 
 def test_parts_of_a_mixed_material_add_up_to_the_whole() -> None:
     """The egg rendered with both kinds of light at once. Noise of 144 paths per pixel, of lamps that few paths meet, is 3 %."""
-    import mitsuba as mi
-
-    from koala3d.reconstruct.bench.scenes.near import renderer
+    from koala3d.reconstruct.rendered.near import renderer
 
     maps, scene = looked("lacquered_egg"), NEAR["lacquered_egg"]()
     mesh = renderer.Mesh(*renderer_mesh(scene))
     loaded = renderer.Renderer(scene, (mesh,), using=SURE)
-    shapes = renderer._shapes([scene.parts[0].material], (mesh,), "all")
-    loaded._scenes["all"] = mi.load_dict({"type": "scene", "room": renderer._room(scene), **renderer._lamps(scene), **shapes})
+    loaded._scenes["all"] = renderer.loaded(scene, (mesh,), "all")
     pose = POSES[3].copy()
     pose[:3, 3] /= RADIUS_M
     whole = np.mean([loaded._rendered("all", camera_of(SIZE), pose, seed) for seed in range(9)], 0)
@@ -66,7 +63,7 @@ def test_parts_of_a_mixed_material_add_up_to_the_whole() -> None:
 
 
 def renderer_mesh(scene):
-    from koala3d.reconstruct.bench.scenes.surfaces import surface_of
+    from koala3d.reconstruct.rendered.surfaces import surface_of
 
     return surface_of(scene.shape(), CELLS)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from koala3d.reconstruct.bench.scenes.light import MATTE, Light
+from koala3d.reconstruct.rendered.light import MATTE, Light
 
 
 def _directions(count: int = 40_000) -> np.ndarray:

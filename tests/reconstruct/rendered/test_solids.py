@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from koala3d.reconstruct.bench.scenes import solids
-from koala3d.reconstruct.bench.scenes.shiny import SCENES
+from koala3d.reconstruct.rendered import solids
+from koala3d.reconstruct.rendered.shiny import SCENES
 
 SOLIDS = {
     "ball": solids.ball(0.6),

@@ -3,11 +3,11 @@
 import jax.numpy as jnp
 import numpy as np
 
-from koala3d.reconstruct.bench.scenes.lamps import Ring, arriving
-from koala3d.reconstruct.bench.scenes.light import Light
-from koala3d.reconstruct.bench.scenes.solids import ball
-from koala3d.reconstruct.bench.scenes.stages import STAGES, TESTED_DEG, TRAINED_DEG, carried, rings, turning
-from koala3d.reconstruct.bench.scenes.tracer import Body, Material, Tracer
+from koala3d.reconstruct.rendered.lamps import Ring, arriving
+from koala3d.reconstruct.rendered.light import Light
+from koala3d.reconstruct.rendered.solids import ball
+from koala3d.reconstruct.rendered.stages import STAGES, TESTED_DEG, TRAINED_DEG, carried, rings, turning
+from koala3d.reconstruct.rendered.tracer import Body, Material, Tracer
 
 SILVER = Material((0.2, 0.1, 0.1), (0.9, 0.9, 0.9), 300.0)
 
