@@ -11,6 +11,7 @@ from koala3d.reconstruct.bench import commands as bench_commands
 from koala3d.reconstruct.diagnosis import command as diagnosis_command
 from koala3d.reconstruct.options import Preset
 from koala3d.reconstruct.output import commands as output_commands
+from koala3d.reconstruct.rendered import command as scenes_command
 from koala3d.reconstruct.studies import commands as study_commands
 from koala3d.reconstruct.training import command as train_command
 
@@ -80,6 +81,7 @@ app.add_typer(output_commands.app)
 app.add_typer(asset_command.app)
 app.command()(diagnosis_command.diagnose)
 app.command()(view)
+app.command()(scenes_command.scenes)
 app.add_typer(bench_commands.app, name="bench")
 
 

@@ -33,6 +33,9 @@ _REMOVES = "Removes the table top, and whatever enters the box through other sid
 StandsOn = Annotated[str | None, Option("--stands-on", metavar="SIDE", callback=_side, help=f"{_ON} {_REMOVES}")]
 
 
+_ASSET = "Asset"
+
+
 @app.command("eval")
 def eval_command(
     run: Annotated[Path | None, Argument(metavar="RUN", help="Folder made by 'reconstruct train'.")] = None,
@@ -45,15 +48,36 @@ def eval_command(
         Path | None, Option(metavar="WEIGHTS.npz", help="Compute LPIPS (AlexNet) with these weights, see docs/numbers.md.")
     ] = None,
     stands_on: StandsOn = None,
+    asset: Annotated[
+        Path | None,
+        Option(
+            metavar="FILE.glb", help="Compare the run's asset, rendered by Mitsuba, instead of the model.", rich_help_panel=_ASSET
+        ),
+    ] = None,
+    light: Annotated[Path | None, Option(metavar="FILE.exr", help="Light around the asset.", rich_help_panel=_ASSET)] = None,
+    paths: Annotated[int, Option(min=1, max=65536, help="Light paths per pixel.", rich_help_panel=_ASSET)] = 64,
+    relit: Annotated[
+        int | None,
+        Option(
+            min=0, metavar="NUMBER", help="Also in another studio's light (of 'reconstruct scenes' only).", rich_help_panel=_ASSET
+        ),
+    ] = None,
+    show: Annotated[
+        Path | None, Option(help="New folder: each view as photograph, model and asset side by side.", rich_help_panel=_ASSET)
+    ] = None,
     as_json: console.Json = False,
 ) -> None:
-    """Evaluate a run (writes RUN/metrics.json), or another program's images, on the test views."""
+    """Evaluate a run (writes RUN/metrics.json), its asset, or another program's images, on the test views."""
     from koala3d.datasets.core.errors import UsageError
     from koala3d.datasets.formats import load_scene
     from koala3d.reconstruct.output.evaluate import METRICS, evaluate, table
     from koala3d.reconstruct.output.external_renderings import measure
     from koala3d.reconstruct.output.lpips import Lpips
 
+    if run is not None and asset is not None and light is not None:
+        return _prove(run, asset, light, split, paths, relit, show, as_json)
+    if (asset, light, relit, show) != (None, None, None, None):
+        raise UsageError("an asset is compared with its run, under its light", remedy="give RUN, --asset and --light")
     perceptual = None if lpips is None else Lpips.load(lpips)
     if run is not None and renders is None and scene is None and out is None:
         result = evaluate(opened(run), split=split, lpips=perceptual, align=align, stands_on=stands_on)
@@ -63,6 +87,19 @@ def eval_command(
     else:
         raise UsageError("give either a run, or --renders DIR --scene SCENE")
     console.report(result, as_json=as_json, text=f"{table(result)}\n{where or ''}".rstrip())
+
+
+def _prove(
+    run: Path, asset: Path, light: Path, split: str, paths: int, relit: int | None, show: Path | None, as_json: bool
+) -> None:
+    from koala3d.datasets.core.files import refuse_existing
+    from koala3d.reconstruct.output.proof import proof
+
+    if show is not None:
+        refuse_existing(show)
+    found = proof.prove(opened(run), asset, light, split=split, paths=paths, relit=relit, out=show)
+    places = "\n".join(str(path) for path in (run / proof.METRICS, show) if path is not None)
+    console.report(found, as_json=as_json, text=f"{proof.text(found)}\n{places}")
 
 
 @app.command()

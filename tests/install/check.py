@@ -1,8 +1,8 @@
 """Install Koala for every Python on this machine and use what was installed: `make install-check`.
 
 Each Python gets a fresh virtual environment and a plain, not editable installation of everything that has wheels for it, from
-a copy of the checkout, after Hugging Face's `datasets`; that package is then installed once more, over Koala, and both are used. The
-four commands print their help, a scene is made and read, a model trains for 20 steps, and the simulated arm records a calibration
+a copy of the checkout, after Hugging Face's `datasets`; that package is then installed once more, over Koala, and both are used.
+The four commands print their help, a scene is made and read, a model trains for 20 steps, and the simulated arm records a calibration
 session through the robot client of this installation; the camera is calibrated from it. Standard library only.
 """
 
@@ -109,9 +109,7 @@ class Installation:
 
     def train(self) -> str:
         """Make and read a scene, train on it for 20 steps."""
-        self.koala(
-            "reconstruct", "bench", "scenes", "--scene", "gold_rings", "--size", "32", "--train", "8", "--test", "2", "--out", "s"
-        )
+        self.koala("reconstruct", "scenes", "--scene", "gold_rings", "--size", "32", "--train", "8", "--test", "2", "--out", "s")
         views = sum(json.loads(self.koala("datasets", "info", "s/gold_rings", "--json"))["views"].values())
         settings = ["--set", "train.steps=20", "--set", "sampler.samples=2048"]
         result = json.loads(self.koala("reconstruct", "train", "s/gold_rings", *settings, "--out", "run", "--json"))

@@ -57,7 +57,7 @@ def test_light_is_refused_before_anything_is_computed(
     (tmp_path / "light.exr").write_text("here")
     code, _, err = command("asset", run, "--out", tmp_path / "a.glb", "--light", tmp_path / "light.exr")
     assert code == 2 and "already exists" in err and not (tmp_path / "a.glb").exists()
-    code, _, err = command("bench", "asset", run, tmp_path / "a.glb", tmp_path / "light.exr")
+    code, _, err = command("eval", run, "--asset", tmp_path / "a.glb", "--light", tmp_path / "light.exr")
     assert code == 1 and "there is no such asset" in err
 
 

@@ -26,8 +26,6 @@ def test_out_is_needed_and_names_are_checked(tmp_path: Path) -> None:
     assert isinstance(invoke().exception, UsageError)
     assert "did you mean 'quick'" in str(invoke("--suite", "quik", "--out", tmp_path).exception)
     assert "no such file" in str(invoke("--peer", tmp_path / "none.csv", "--out", tmp_path).exception)
-    assert "did you mean 'teapot'" in str(invoke("scenes", "--scene", "tepot", "--out", tmp_path).exception)
-    assert "did you mean 'blender'" in str(invoke("scenes", "--format", "blendr", "--out", tmp_path).exception)
 
 
 def test_two_benchmarks_are_compared(tmp_path: Path, make_row: Callable) -> None:

@@ -96,9 +96,10 @@ grid.by_row = lambda: True  # as several devices do it
 count, process, coordinator = int(sys.argv[1]), int(sys.argv[2]), sys.argv[3]
 if count > 1:
     distributed.join(coordinator, count, process)
-small = """encoding.levels=1 encoding.log2_size=6 field.spatial_width=4 field.spatial_depth=1 field.view_width=4 field.view_depth=1
-field.view_skip=0 field.bottleneck=2 field.ide_degree=1 sampler.grid=16 sampler.steps=32 sampler.samples=1024 sampler.proposals=[8,8]
-sampler.final=8 sampler.proposal_finest=[8,16] sampler.frustum=point surface.enabled=false surface.rays=32"""
+small = """encoding.levels=1 encoding.log2_size=6 field.spatial_width=4 field.spatial_depth=1 field.view_width=4
+field.view_depth=1 field.view_skip=0 field.bottleneck=2 field.ide_degree=1 sampler.grid=16 sampler.steps=32
+sampler.samples=1024 sampler.proposals=[8,8] sampler.final=8 sampler.proposal_finest=[8,16] sampler.frustum=point
+surface.enabled=false surface.rays=32"""
 config = load_config("zipnerf", "paper", [*small.split(), "sampler.rays=1024"])
 key, total = jax.random.key(0), 9999
 pixels = Pixels(

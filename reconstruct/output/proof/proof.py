@@ -11,9 +11,9 @@ from koala3d.datasets.core import files
 from koala3d.datasets.core.console import progress
 from koala3d.datasets.imaging import images
 from koala3d.datasets.scene import View
-from koala3d.reconstruct.bench.asset import relighting
 from koala3d.reconstruct.output import metrics
 from koala3d.reconstruct.output.evaluate import METRICS, current, read_truth
+from koala3d.reconstruct.output.proof import relighting
 from koala3d.reconstruct.output.trained_model import TrainedModel
 from koala3d.reconstruct.path_tracing import reading
 from koala3d.reconstruct.path_tracing.stage import Stage, over_white
@@ -61,7 +61,7 @@ def prove(
         light: the EXR that `reconstruct light` wrote.
         paths: light paths per pixel.
         out: folder for a picture of each view: photograph, model, asset.
-        relit: number of another light, see `relighting`, for scenes that `bench scenes` made.
+        relit: number of another light, see `relighting`, for scenes that `reconstruct scenes` made.
         using: see `Stage`.
     """
     stored, views = reading.read(asset), trained.scene.split(split)

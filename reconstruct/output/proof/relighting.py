@@ -15,9 +15,9 @@ from koala3d.datasets.core.console import progress
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.imaging import images
 from koala3d.datasets.scene import View
-from koala3d.reconstruct.asset.writing import environment
 from koala3d.reconstruct.output import metrics
 from koala3d.reconstruct.output.trained_model import TrainedModel
+from koala3d.reconstruct.path_tracing import panorama
 from koala3d.reconstruct.path_tracing.reading import StoredAsset
 from koala3d.reconstruct.path_tracing.stage import Stage, over_white
 from koala3d.reconstruct.rendered.light import Light
@@ -64,7 +64,7 @@ def measure(
     using: str,
 ) -> dict[str, Any]:
     """The figures of `DEFINITIONS`; `out`: folder for a picture of each view: truth, asset."""
-    towards = environment.directions(asset.base_from_asset, HEIGHT).reshape(-1, 3)
+    towards = panorama.directions(asset.base_from_asset, HEIGHT).reshape(-1, 3)
     radiance = np.asarray(lit.light.convolved(towards.T.astype(np.float32), SHARP)).T.reshape(HEIGHT, 2 * HEIGHT, 3)
     stage, pairs = Stage(asset, radiance, using=using), []
     with progress("relighting", len(views), "views") as bar:

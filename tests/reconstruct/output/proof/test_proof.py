@@ -15,8 +15,8 @@ from koala3d.reconstruct.asset import asset as assets
 from koala3d.reconstruct.asset.asset import Asset
 from koala3d.reconstruct.asset.light import Light
 from koala3d.reconstruct.asset.writing import environment, glb
-from koala3d.reconstruct.bench.asset import proof
 from koala3d.reconstruct.output.evaluate import FORMAT, METRICS, VERSION
+from koala3d.reconstruct.output.proof import proof
 from koala3d.reconstruct.output.trained_model import TrainedModel
 from koala3d.reconstruct.path_tracing import reading
 from tests.reconstruct.conftest import CENTRE, RADIUS

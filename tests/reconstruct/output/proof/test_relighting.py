@@ -10,7 +10,7 @@ from koala3d.datasets import pose
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.core.mitsuba_variant import SURE
 from koala3d.reconstruct.asset import asset as assets
-from koala3d.reconstruct.bench.asset import relighting
+from koala3d.reconstruct.output.proof import relighting
 from koala3d.reconstruct.output.trained_model import TrainedModel
 from koala3d.reconstruct.path_tracing import trial
 from koala3d.reconstruct.path_tracing.reading import StoredAsset
