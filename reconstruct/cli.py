@@ -7,12 +7,11 @@ from typer import Argument, Option
 
 from koala3d.datasets.core import console
 from koala3d.reconstruct.asset import command as asset_command
-from koala3d.reconstruct.bench import commands as bench_commands
 from koala3d.reconstruct.diagnosis import command as diagnosis_command
+from koala3d.reconstruct.experiments import commands as experiment_commands
 from koala3d.reconstruct.options import Preset
 from koala3d.reconstruct.output import commands as output_commands
 from koala3d.reconstruct.rendered import command as scenes_command
-from koala3d.reconstruct.studies import commands as study_commands
 from koala3d.reconstruct.training import command as train_command
 
 app = console.make_app("reconstruct", "Train Surf-NeRF on a scene, evaluate it, and export images and geometry.")
@@ -76,13 +75,13 @@ def view(
 app.command()(train_command.train)
 app.command()(models)
 app.command()(backend)
-app.add_typer(study_commands.app)
 app.add_typer(output_commands.app)
 app.add_typer(asset_command.app)
 app.command()(diagnosis_command.diagnose)
 app.command()(view)
+app.command()(experiment_commands.sweep)
+app.command()(experiment_commands.table)
 app.command()(scenes_command.scenes)
-app.add_typer(bench_commands.app, name="bench")
 
 
 def main() -> None:

@@ -1,1 +1,1 @@
-"""Studies of several trainings: ablations, sweeps, tables."""
+"""Many trainings: scenes x models x settings x seeds, run here or on a cluster, their results, tables and comparisons."""

@@ -1,10 +1,9 @@
-"""Differences between two benchmarks that exceed the noise of repeated seeds.
+"""Differences between two sweeps that exceed the noise of repeated seeds.
 
-For each metric and setup (scene, model, preset, budget), the seeds of both benchmarks are compared by Welch's two-sided
-t-test (1947): a difference counts if its 95 % confidence interval excludes zero. One in twenty comparisons of equal
-benchmarks is a false alarm, so the number of tests is reported as well. A paired t-test of each metric's mean difference
-over all setups reveals changes that are too small for any single setup. A benchmark with fewer than two seeds cannot be
-tested.
+For each figure and place (scene, model, setting, preset, budget), the seeds of both sweeps are compared by Welch's two-sided
+t-test (1947): a difference counts if its 95 % confidence interval excludes zero. One in twenty comparisons of equal sweeps is
+a false alarm, so the number of tests is reported as well. A paired t-test of each figure's mean difference over all places
+reveals changes that are too small for any single place. Fewer than two seeds cannot be tested.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,11 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from koala3d.reconstruct.bench.records import Row, latest
-from koala3d.reconstruct.bench.suite import QUALITY
+from koala3d.reconstruct.experiments.results import Row
+from koala3d.reconstruct.experiments.statistics import CONFIDENCE, Change, paired, welch
 from koala3d.reconstruct.output.metric_names import HIGHER_IS_BETTER
-from koala3d.reconstruct.studies import seeds
-from koala3d.reconstruct.studies.seeds import CONFIDENCE, Sample
 
 NORMALS = ("normal_mae_deg", "normal_mae_alpha_acc_deg", "normal_pred_mae_deg", "normal_pred_mae_alpha_acc_deg")
 COSTS = ("rays_per_s", "seconds", "compilation_s", "peak_memory_mb")
@@ -28,7 +25,7 @@ EVERYWHERE = "all places"
 
 @dataclass(frozen=True)
 class Difference:
-    """A metric in one setup, or its mean over all setups."""
+    """A figure in one place, or its mean over all places."""
 
     place: str
     figure: str
@@ -37,7 +34,7 @@ class Difference:
     low: float  # lower end of the confidence interval of after - before
     high: float
     p: float  # p-value; NaN if it is unknown
-    count: tuple[int, int]  # number of seeds of each benchmark; of setups, for the mean over all
+    count: tuple[int, int]  # number of seeds of each sweep; of places, for the mean over all
 
     @property
     def change(self) -> float:
@@ -54,54 +51,25 @@ class Difference:
         return "better" if (self.change > 0) == (self.figure in BETTER_HIGH) else "worse"
 
 
-def compare(before: Sequence[Row], after: Sequence[Row], metrics: Sequence[str] = COMPARED) -> list[Difference]:
-    """All metrics in all setups that both benchmarks contain, and the means over these setups."""
-    first, second = (_by_setup(rows) for rows in (before, after))
-    shared = [place for place in first if place in second]
+def compare(before: Sequence[Row], after: Sequence[Row], figures: Sequence[str] = COMPARED) -> list[Difference]:
+    """All figures in all places that both sweeps contain, and the means over these places."""
+    first, second = ({f"{row.scene}, {row.origin}": row for row in rows} for rows in (before, after))
     found = []
-    for metric in metrics:
+    for figure in figures:
         pairs = []
-        for place in shared:
-            a, b = (_values(side[place], metric) for side in (first, second))
-            if len(a) and len(b):
-                found.append(welch(place, metric, a, b))
-                pairs.append((a.mean(), b.mean()))
+        for place in (place for place in first if place in second):
+            a, b = first[place].sample(figure), second[place].sample(figure)
+            if a is not None and b is not None:
+                found.append(_difference(place, figure, (a.mean, b.mean), welch(a, b), (a.count, b.count)))
+                pairs.append((a.mean, b.mean))
         if len(pairs) > 1:
-            found.append(paired(metric, np.array(pairs)))
+            means, count = np.array(pairs), (len(pairs), len(pairs))
+            found.append(_difference(EVERYWHERE, figure, means.mean(0).tolist(), paired(means), count))
     return sorted(found, key=lambda one: (one.place != EVERYWHERE, one.place))
 
 
-def _by_setup(rows: Sequence[Row]) -> dict[str, list[Row]]:
-    found: dict[str, list[Row]] = {}
-    for row in latest(rows):
-        if row["kind"] == QUALITY:
-            found.setdefault(setup_of(row), []).append(row)
-    return found
-
-
-def setup_of(row: Row) -> str:
-    """Name of the setup of a trial."""
-    scale = "" if row["scale"] == 1 else f" at {row['scale']:g}"
-    return f"{row['scene']}{scale}, {row['model']} {row['preset']}, {row['budget_s']:g} s"
-
-
-def _values(rows: Sequence[Row], figure: str) -> np.ndarray:
-    return np.array([row[figure] for row in rows if row.get(figure) is not None], np.float64)
-
-
-def welch(place: str, figure: str, before: np.ndarray, after: np.ndarray) -> Difference:
-    """Welch's t-test of two samples."""
-    first, second = Sample.of(before), Sample.of(after)
-    change = seeds.welch(first, second)
-    return Difference(place, figure, first.mean, second.mean, change.low, change.high, change.p, (first.count, second.count))
-
-
-def paired(figure: str, pairs: np.ndarray) -> Difference:
-    """Paired t-test of the (n, 2) means of setups."""
-    sample = Sample.of(pairs[:, 1] - pairs[:, 0])
-    change = seeds.tested(sample.mean, float(sample.deviation / np.sqrt(sample.count)), sample.count - 1)
-    (before, after), counts = pairs.mean(0).tolist(), (sample.count, sample.count)
-    return Difference(EVERYWHERE, figure, before, after, change.low, change.high, change.p, counts)
+def _difference(place: str, figure: str, means: Sequence[float], change: Change, count: tuple[int, int]) -> Difference:
+    return Difference(place, figure, means[0], means[1], change.low, change.high, change.p, count)
 
 
 def summary(differences: Sequence[Difference]) -> dict[str, Any]:
@@ -132,7 +100,7 @@ def text(differences: Sequence[Difference], *, everything: bool = False) -> str:
     chance = f"{100 * CONFIDENCE:.0f} % confidence; {counts['expected_false_alarms']:g} expected by chance"
     lines.append(f"{clear} of {counts['tested']} differences exceed the noise of seeds ({chance})")
     if unknown:
-        lines.append(f"{unknown} cannot be tested: a benchmark has fewer than two seeds")
+        lines.append(f"{unknown} cannot be tested: a sweep has fewer than two seeds")
     return "\n".join(lines)
 
 

@@ -1,6 +1,6 @@
 """What the processes that run a job write to their terminals, one after the other, in a file beside its run.
 
-OUT/SCENE/MODEL/seed_N.log
+OUT/SCENE/MODEL/SETTING/seed_N.log
 """
 
 import fcntl
@@ -10,15 +10,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from koala3d.reconstruct.studies.jobs import Job
-
 STREAMS = (1, 2)
 """File descriptors of the standard output and of errors."""
-
-
-def log_of(job: Job) -> Path:
-    """The file."""
-    return job.path.with_name(f"{job.path.name}.log")
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from typing import Any
 
 
 def describe() -> dict[str, Any]:
-    """Machine, cores, memory, versions, commit, load and current time, by the names of `records.CONTEXT`."""
+    """Machine, cores, memory, versions, commit, load and current time, by name."""
     return {
         "machine": processor(),
         "cores": len(os.sched_getaffinity(0)),

@@ -8,7 +8,6 @@ import os
 import platform
 import socket
 import sys
-import traceback
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
@@ -18,11 +17,9 @@ from ray.exceptions import NodeDiedError, OutOfMemoryError, RayError, WorkerCras
 
 from koala3d.datasets.core.console import hint
 from koala3d.datasets.core.errors import UsageError
-from koala3d.datasets.core.files import make_folder
-from koala3d.reconstruct.backend import cache_compilations
-from koala3d.reconstruct.output.evaluate import METRICS
-from koala3d.reconstruct.studies.job_log import last_line, log_of, output_in
-from koala3d.reconstruct.studies.jobs import Job
+from koala3d.reconstruct.experiments.job_log import last_line
+from koala3d.reconstruct.experiments.jobs import Job
+from koala3d.reconstruct.experiments.runner import attempt, prepare
 
 MOST_LOSSES = 3
 """A job that has lost so many workers is given up: the fault is probably its own."""
@@ -42,10 +39,9 @@ def run_all(jobs: Sequence[Job], address: str | None) -> Iterator[tuple[Job, str
     """
     with _connected(address):
         gpus = 1 if ray.cluster_resources().get("GPU") else 0
-        task = ray.remote(num_cpus=1, num_gpus=gpus, max_retries=0, scheduling_strategy="SPREAD")(_attempt)
+        task = ray.remote(num_cpus=1, num_gpus=gpus, max_retries=0, max_calls=1, scheduling_strategy="SPREAD")(_attempt)
         for job in jobs:
-            make_folder(job.path.parent)
-            log_of(job).touch()
+            prepare(job)
         running, losses = {task.remote(job): job for job in jobs}, Counter[Job]()
         while running:
             (ended,), _ = ray.wait(list(running))
@@ -53,15 +49,15 @@ def run_all(jobs: Sequence[Job], address: str | None) -> Iterator[tuple[Job, str
             try:
                 node, problem = ray.get(ended)
                 if not problem and not job.done:
-                    problem = f"ended on {node} and left no {METRICS} in {job.path}; {SHARED}"
+                    problem = f"ended on {node} and left no {job.result}; {SHARED}"
             except tuple(LOST) as loss:
                 losses[job] += 1
                 if losses[job] < MOST_LOSSES:
                     hint(f"{job.path}: lost its worker ({LOST[type(loss)]}), {losses[job]} of {MOST_LOSSES}: goes on elsewhere")
                     running[task.remote(job)] = job
                     continue
-                log = log_of(job)
-                problem = f"lost its worker {MOST_LOSSES} times; {log} ends with: {last_line(log.read_text(errors='replace'))}"
+                last = last_line(job.log.read_text(errors="replace"))
+                problem = f"lost its worker {MOST_LOSSES} times; {job.log} ends with: {last}"
             except RayError as error:
                 why = last_line(str(getattr(error, "cause", error)))
                 problem = f"Ray cannot run it ({why}); do all nodes have this version of Koala?"
@@ -94,14 +90,5 @@ def _require_listener(address: str) -> None:
 
 def _attempt(job: Job) -> tuple[str, str]:
     """Run a job in a worker; the name of its node, and the job's error or ""."""
-    node, log = platform.node(), log_of(job)
-    if not log.is_file():
-        return node, f"{node} does not see {log}; {SHARED}"
-    with output_in(log):
-        hint(f"process {os.getpid()} on {node}")
-        try:
-            cache_compilations()
-            return node, job.attempt()
-        except Exception as error:  # a bug; other jobs go on
-            traceback.print_exc()
-            return node, f"unexpected {type(error).__name__}: {' '.join(str(error).split())}; {log} has its traceback"
+    node = platform.node()
+    return node, attempt(job) if job.log.is_file() else f"{node} does not see {job.log}; {SHARED}"

@@ -1,4 +1,4 @@
-"""Mean and spread of a metric over seeds, and Welch's test (1947) of two such samples.
+"""Mean and spread of a figure over seeds, Welch's test (1947) of two such samples, and the paired t-test.
 
 Welch's t-test allows for different spreads; it requires at least two seeds per sample.
 """
@@ -11,14 +11,9 @@ import numpy as np
 CONFIDENCE = 0.95
 
 
-def seed_folder(seed: int) -> str:
-    """Folder name of a seed's run."""
-    return f"seed_{seed}"
-
-
 @dataclass(frozen=True)
 class Sample:
-    """A metric of trainings that differ only in their seed."""
+    """A figure of trainings that differ only in their seed."""
 
     mean: float
     deviation: float  # standard deviation over seeds; NaN for one seed
@@ -50,6 +45,12 @@ def welch(before: Sample, after: Sample) -> Change:
     shares = np.array([before.deviation, after.deviation]) ** 2 / counts
     freedom = shares.sum() ** 2 / (shares**2 / (counts - 1)).sum() if shares.sum() > 0 else 1.0
     return tested(value, float(np.sqrt(shares.sum())), float(freedom))
+
+
+def paired(pairs: np.ndarray) -> Change:
+    """Mean difference of (n, 2) pairs, n > 1, tested by the paired t-test."""
+    sample = Sample.of(pairs[:, 1] - pairs[:, 0])
+    return tested(sample.mean, float(sample.deviation / np.sqrt(sample.count)), sample.count - 1)
 
 
 def tested(value: float, spread: float, freedom: float) -> Change:

@@ -10,9 +10,9 @@ from pathlib import Path
 
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import UsageError, nearest
+from koala3d.reconstruct.experiments.results import Row
 from koala3d.reconstruct.output.mesh import surface_distance
 from koala3d.reconstruct.output.metric_names import HIGHER_IS_BETTER, SHORT_NAMES, column_heading, definition, mesh_note
-from koala3d.reconstruct.studies.results import Row
 
 COLUMNS = ("psnr", "ssim", "psnr_inside", "ssim_inside", "lpips", "normal_mae_alpha_acc_deg", "normal_mae_deg", "disparity_rmse")
 """Default columns: the paper's, with the normal error in both of its definitions, and pictures also inside the mask."""
@@ -86,18 +86,11 @@ FORMATS: dict[str, Callable[[Sequence[Row], Sequence[str]], str]] = {".md": mark
 """Writer by the file's suffix."""
 
 
-def write(rows: Sequence[Row], columns: Sequence[str], out: Path) -> None:
-    """Write a table in the format that the suffix of `out` names. Raises UsageError: unknown suffix, or `out` exists."""
-    if out.suffix not in FORMATS:
-        raise UsageError(f"tables are not written as '{out.suffix}'", where=out, remedy=f"end --out in {', '.join(FORMATS)}")
+def refuse_other(out: Path, suffixes: Sequence[str]) -> None:
+    """Raise UsageError where a file exists, or its name has none of the suffixes."""
+    if out.suffix not in suffixes:
+        raise UsageError(f"tables are not written as '{out.suffix}'", where=out, remedy=f"end --out in {', '.join(suffixes)}")
     files.refuse_existing(out)
-    files.write_text(out, FORMATS[out.suffix](rows, columns))
-
-
-def write_all(rows: Sequence[Row], columns: Sequence[str], folder: Path) -> None:
-    """Write a table in every format, as `folder`/table.*; existing tables are replaced."""
-    for suffix, text_of in FORMATS.items():
-        files.write_text(folder / f"table{suffix}", text_of(rows, columns))
 
 
 def notes(rows: Sequence[Row], columns: Sequence[str]) -> list[str]:

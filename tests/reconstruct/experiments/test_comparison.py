@@ -1,60 +1,33 @@
-"""The tests of differences against scipy's, and their rate of false alarms against what they promise."""
+"""What differs between two sweeps, and what they do not share."""
 
 from collections.abc import Callable
 
 import numpy as np
 import pytest
-from scipy import stats
 
-from koala3d.reconstruct.bench import compare
-from koala3d.reconstruct.bench.compare import EVERYWHERE, paired, welch
-
-
-def test_welch_is_scipys() -> None:
-    a, b = np.array([25.0, 25.3, 24.8]), np.array([26.0, 25.9])
-    found = welch("place", "psnr", a, b)
-    expected = stats.ttest_ind(b, a, equal_var=False)
-    interval = expected.confidence_interval(0.95)
-    np.testing.assert_allclose([found.p, found.low, found.high], [expected.pvalue, interval.low, interval.high], rtol=1e-9)
-    assert found.verdict == "better"
-
-
-def test_paired_is_scipys() -> None:
-    pairs = np.array([[25.0, 25.4], [30.0, 30.3], [20.0, 20.6]])
-    expected = stats.ttest_rel(pairs[:, 1], pairs[:, 0])
-    found = paired("normal_mae_deg", pairs)
-    np.testing.assert_allclose(found.p, expected.pvalue, rtol=1e-9)
-    assert found.verdict == "worse"  # degrees of error that rose
-
-
-def test_false_alarms_are_as_rare_as_promised() -> None:
-    rng = np.random.default_rng(0)
-    draws = rng.normal(size=(2000, 2, 3))
-    alarms = np.mean([welch("", "psnr", a, b).verdict != "noise" for a, b in draws])
-    assert 0.02 < alarms < 0.065  # 5 %; with three seeds Welch's test is somewhat stricter; 2000 draws give +-0.5 %
-
-
-def test_one_seed_cannot_be_tested_and_equal_bits_are_equal() -> None:
-    assert welch("", "psnr", np.array([25.0]), np.array([26.0, 26.1])).verdict == "unknown"
-    assert welch("", "psnr", np.array([25.0, 25.0]), np.array([25.0, 25.0])).verdict == "noise"
+from koala3d.reconstruct.experiments import comparison
+from koala3d.reconstruct.experiments.comparison import EVERYWHERE
 
 
 def test_only_what_both_have_is_compared(make_row: Callable) -> None:
-    before = [make_row(seed=float(seed), psnr=25 + 0.1 * seed) for seed in range(3)]
-    before += [make_row(seed=float(seed), scene="teapot", psnr=30 + 0.1 * seed) for seed in range(3)]
-    after = [make_row(seed=float(seed), psnr=26 + 0.1 * seed) for seed in range(3)] + [make_row(kind="cost", psnr=99.0)]
-    found = compare.compare(before, after, ("psnr", "chamfer_mm"))
-    assert [(one.place, one.figure) for one in found] == [("chrome_ball, surfnerf fast, 15 s", "psnr")]
-    assert found[0].change == pytest.approx(1.0)
-    told = compare.summary(found)
+    before, after = [make_row(), make_row("teapot", psnr=30.0)], [make_row(psnr=26.0), make_row(setting="without bias")]
+    (one,) = comparison.compare(before, after, ("psnr", "chamfer_mm"))
+    assert (one.place, one.figure, one.verdict) == ("chrome_ball, surfnerf, fast, 15 s", "psnr", "better")
+    assert one.change == pytest.approx(1.0) and one.count == (2, 2)
+    told = comparison.summary([one])
     assert told["tested"] == 1 and told["expected_false_alarms"] == 0.05
-    assert "better" in compare.text(found) and "1 of 1" in compare.text(found)
+    assert "better" in comparison.text([one]) and "1 of 1" in comparison.text([one])
+
+
+def test_fewer_rays_per_second_and_more_degrees_are_worse(make_row: Callable) -> None:
+    after = make_row(rays_per_s=40_000.0, normal_mae_alpha_acc_deg=12.0)
+    found = comparison.compare([make_row()], [after], ("psnr", "rays_per_s", "normal_mae_alpha_acc_deg"))
+    assert [one.verdict for one in found] == ["noise", "worse", "worse"]
 
 
 def test_small_changes_everywhere_are_seen_over_all_places(make_row: Callable) -> None:
     rng = np.random.default_rng(1)
-    scenes = [f"scene{index}" for index in range(8)]
-    rows = lambda gain: [make_row(scene=scene, seed=float(seed), psnr=25 + gain + rng.normal(0, 0.3))  # noqa: E731
-                         for scene in scenes for seed in range(2)]  # fmt: skip
-    found = compare.compare(rows(0.0), rows(0.5), ("psnr",))
+    rows = lambda gain: [make_row(f"scene{n}", psnr=25 + gain + rng.normal(0, 0.05)) for n in range(8)]  # noqa: E731
+    found = comparison.compare(rows(0.0), rows(0.2), ("psnr",))
     assert found[0].place == EVERYWHERE and found[0].verdict == "better" and len(found) == 9
+    assert all(one.verdict == "noise" for one in found[1:])

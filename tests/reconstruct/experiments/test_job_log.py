@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from koala3d.reconstruct.studies.job_log import last_line, output_in
+from koala3d.reconstruct.experiments.job_log import last_line, output_in
 from tests.moments import PATIENCE_S, until
 
 HOLDER = """

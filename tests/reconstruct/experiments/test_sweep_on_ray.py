@@ -14,6 +14,7 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import chdir, redirect_stderr, suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -27,21 +28,20 @@ from koala3d.datasets.scene import Scene
 from koala3d.reconstruct import checkpoint
 from koala3d.reconstruct.cli import main
 from koala3d.reconstruct.errors import ReconstructError
+from koala3d.reconstruct.experiments import sweep
+from koala3d.reconstruct.experiments.jobs import Job
 from koala3d.reconstruct.output.evaluate import METRICS
 from koala3d.reconstruct.run import CHECKPOINTS
-from koala3d.reconstruct.studies import sweep
-from koala3d.reconstruct.studies.job_log import log_of
-from koala3d.reconstruct.studies.jobs import Job
 from koala3d.reconstruct.training.pace.pause import PauseRequests
 from tests.moments import until
-from tests.reconstruct.studies.odd_jobs import Astray, Dying, Faulty, Refused, Written
+from tests.reconstruct.experiments.odd_jobs import Astray, Dying, Faulty, Refused, Written
 from tests.small import SET
 
 cluster_utils = pytest.importorskip("ray.cluster_utils", reason="Ray is absent: pip install 'koala-capture[sweep]'")
 if sys.platform != "linux":
     pytest.skip("processes are looked up in /proc", allow_module_level=True)
 
-from koala3d.reconstruct.studies import on_ray  # noqa: E402
+from koala3d.reconstruct.experiments import on_ray  # noqa: E402
 
 pytestmark = pytest.mark.filterwarnings("ignore:os.fork")  # so Ray starts a node; the child becomes its program at once
 ROOT = Path(__file__).parents[3]
@@ -86,7 +86,7 @@ def started_with(folder: str) -> list[str]:
 
 def workers(job: Job) -> list[int]:
     """The processes that have run a job, oldest first."""
-    return [int(number) for number in re.findall(r"^process (\d+) ", log_of(job).read_text(), re.MULTILINE)]
+    return [int(number) for number in re.findall(r"^process (\d+) ", job.log.read_text(), re.MULTILINE)]
 
 
 def parent(process: int) -> int:
@@ -150,7 +150,7 @@ def test_a_killed_worker_and_a_lost_node_change_no_result(
     request = ["--scene", "ball", "--model", "mipnerf", "--json", *(word for seed in range(4) for word in ("--seed", seed))]
     command = [main, "reconstruct", "sweep", *request, *(word for setting in SETTINGS for word in ("--set", setting))]
     alone = run_inside(*command, "--out", "alone")
-    jobs = sweep.plan(["ball"], ["mipnerf"], "fast", SETTINGS, None, Path("spread"), range(4))
+    jobs = sweep.plan(["ball"], ["mipnerf"], "fast", SETTINGS, Path("spread"), seeds=range(4))
     lost = cluster.add_node(**NODE)
     with ThreadPoolExecutor(1) as thread:
         striking = thread.submit(struck, cluster, lost, jobs)
@@ -162,7 +162,7 @@ def test_a_killed_worker_and_a_lost_node_change_no_result(
     assert losses == sorted(f"{job.path}: lost its worker ({why}), 1 of 3: goes on elsewhere" for why, job in hit.items())
     for job in hit.values():
         assert len(set(workers(job))) == 2
-        (step,) = re.findall(r": goes on from step (\d+)$", log_of(job).read_text(), re.MULTILINE)
+        (step,) = re.findall(r": goes on from step (\d+)$", job.log.read_text(), re.MULTILINE)
         assert 0 < int(step) < STEPS
 
 
@@ -184,12 +184,12 @@ def failed(ball_scene: tuple[Scene, Path], cluster: Any, tmp_path_factory: pytes
     absent: Any = ModuleType("absent")
     absent.Unknown = type("Unknown", (Job,), {"__module__": "absent"})
     kinds = (Written, Astray, Refused, Faulty, Job, absent.Unknown, Dying)
-    planned = sweep.plan([str(ball_scene[1])], ["zipnerf"], "fast", [], None, out, range(len(kinds)))
-    jobs = {kind.__name__: kind(job.path, job.recipe, job.changes) for kind, job in zip(kinds, planned, strict=True)}
+    planned = sweep.plan([str(ball_scene[1])], ["zipnerf"], "fast", [], out, seeds=range(len(kinds)))
+    jobs = {kind.__name__: kind(job.path, job.recipe, job.setting, job.changes) for kind, job in zip(kinds, planned, strict=True)}
     jobs["Job"] = replace(jobs["Job"], path=Path("/proc/self/cwd") / jobs["Job"].path.relative_to(out))
     with chdir(out), redirect_stderr(io.StringIO()) as stderr, mock.patch.dict(sys.modules, {"absent": absent}):
         with pytest.raises(ReconstructError, match="6 of 7 runs failed"):
-            sweep.run([*jobs.values()], out, use_ray=True)
+            sweep.run([*jobs.values()], out, partial(on_ray.run_all, address=None))
     lines = stderr.getvalue().splitlines()
     said = {name: [line for line in lines if f"{job.path.name}: " in line] for name, job in jobs.items()}
     return Failed(jobs, said, (out / "table.md").read_text())
@@ -198,7 +198,7 @@ def failed(ball_scene: tuple[Scene, Path], cluster: Any, tmp_path_factory: pytes
 def test_a_job_that_kills_its_workers_is_given_up_and_the_others_finish(failed: Failed) -> None:
     job = failed.jobs["Dying"]
     goes_on = [f"{job.path}: lost its worker (it crashed or was killed), {n} of 3: goes on elsewhere" for n in (1, 2)]
-    gives_up = f"ball/zipnerf/seed_6: lost its worker 3 times; {log_of(job)} ends with: this does not fit"
+    gives_up = f"ball/zipnerf/base/seed_6: lost its worker 3 times; {job.log} ends with: this does not fit"
     assert failed.said["Dying"] == [*goes_on, gives_up]
     assert len(set(workers(job))) == 3
     assert failed.said["Written"] == [] and "| ball | zipnerf | 20.00 |" in failed.table
@@ -206,23 +206,25 @@ def test_a_job_that_kills_its_workers_is_given_up_and_the_others_finish(failed: 
 
 def test_a_folder_that_is_not_shared_is_named_with_the_node(failed: Failed) -> None:
     node, remedy = platform.node(), "is --out on a disk that all nodes share?"
-    astray, unseen = failed.jobs["Astray"].path, log_of(failed.jobs["Job"])
-    assert failed.said["Astray"] == [f"ball/zipnerf/seed_1: ended on {node} and left no metrics.json in {astray}; {remedy}"]
-    assert failed.said["Job"] == [f"ball/zipnerf/seed_4: {node} does not see {unseen}; {remedy}"]
+    astray, unseen = failed.jobs["Astray"].result, failed.jobs["Job"].log
+    assert failed.said["Astray"] == [f"ball/zipnerf/base/seed_1: ended on {node} and left no {astray}; {remedy}"]
+    assert failed.said["Job"] == [f"ball/zipnerf/base/seed_4: {node} does not see {unseen}; {remedy}"]
 
 
 def test_errors_read_as_without_ray(failed: Failed) -> None:
-    assert failed.said["Refused"] == [f"ball/zipnerf/seed_2: {failed.jobs['Refused'].attempt()}"]
-    log = log_of(failed.jobs["Faulty"])
+    assert failed.said["Refused"] == [f"ball/zipnerf/base/seed_2: {failed.jobs['Refused'].attempt()}"]
+    log = failed.jobs["Faulty"].log
     message = f"unexpected ValueError: no such axis in this array; {log} has its traceback"
-    assert failed.said["Faulty"] == [f"ball/zipnerf/seed_3: {message}"]
+    assert failed.said["Faulty"] == [f"ball/zipnerf/base/seed_3: {message}"]
     assert "Traceback" in log.read_text() and "odd_jobs.py" in log.read_text()
     assert len(workers(failed.jobs["Refused"])) == len(workers(failed.jobs["Faulty"])) == 1
 
 
 def test_a_worker_that_cannot_import_a_job_is_no_lost_worker(failed: Failed) -> None:
     why = "ModuleNotFoundError: No module named 'absent'"
-    assert failed.said["Unknown"] == [f"ball/zipnerf/seed_5: Ray cannot run it ({why}); do all nodes have this version of Koala?"]
+    assert failed.said["Unknown"] == [
+        f"ball/zipnerf/base/seed_5: Ray cannot run it ({why}); do all nodes have this version of Koala?"
+    ]
 
 
 @pytest.mark.parametrize(("address", "why"), [("127.0.0.1:1", "Connection refused"), ("nowhere", "Invalid address format")])
