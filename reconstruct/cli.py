@@ -72,16 +72,20 @@ def view(
         page.serve()
 
 
-app.command()(train_command.train)
-app.command()(models)
-app.command()(backend)
-app.add_typer(output_commands.app)
-app.add_typer(asset_command.app)
-app.command()(diagnosis_command.diagnose)
-app.command()(view)
-app.command()(experiment_commands.sweep)
-app.command()(experiment_commands.table)
-app.command()(scenes_command.scenes)
+COMMANDS = {
+    console.MAIN: (
+        train_command.train,
+        output_commands.eval_command,
+        output_commands.mesh,
+        asset_command.asset,
+    ),
+    console.LOOK: (view, output_commands.report, output_commands.render, asset_command.light),
+    console.CHECK: (diagnosis_command.diagnose, models, backend),
+    console.STUDY: (experiment_commands.sweep, experiment_commands.table, scenes_command.scenes),
+}
+for _panel, _commands in COMMANDS.items():
+    for _command in _commands:
+        app.command(_command.__name__.removesuffix("_command"), panel=_panel)(_command)
 
 
 def main() -> None:

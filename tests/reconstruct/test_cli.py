@@ -72,7 +72,7 @@ def test_misuse_is_one_line(command: Callable[..., tuple[int, str, str]], make_r
         ("train", "--out", tmp_path / "r"): "give either a scene, or --from RUN --finetune",
         ("train", "--out", tmp_path / "r", "--from", run): "give either a scene, or --from RUN --finetune",
         ("table", run): "has not been evaluated",
-        ("film", run, "--out", tmp_path / "film.avi"): "end --out in .mp4",
+        ("render", run, "--out", tmp_path / "film.avi", "--fps", 10): "end --out in .mp4",
         ("ablate", tmp_path / "none", "--out", tmp_path / "r"): "no such scene",
         ("sweep", "--out", tmp_path / "r", "--scene", tmp_path, "--model", "surfnrf"): "did you mean 'surfnerf'",
         ("eval", run, "--split", "val"): "scene has no val views",

@@ -81,7 +81,7 @@ def started_with(folder: str) -> list[str]:
         with suppress(OSError):
             if f"{FOLDER}={folder}".encode() in (place / "environ").read_bytes().split(b"\0"):
                 found.append((place / "cmdline").read_text().replace("\0", " "))
-    return found
+    return [line for line in found if "resource_tracker" not in line]  # that of this process, which runs jobs in processes, too
 
 
 def workers(job: Job) -> list[int]:
