@@ -18,7 +18,7 @@ def sweep(
     models: Annotated[list[str] | None, Option("--model", help="Model, see 'models'; repeatable. Default: surfnerf.")] = None,
     preset: Preset = "fast",
     set_: Settings = None,
-    settings: Annotated[
+    tried: Annotated[
         list[str] | None,
         Option(
             "--try",
@@ -42,10 +42,10 @@ def sweep(
     """Train and evaluate scenes x models x settings x budgets x seeds; write a table and a page."""
     from koala3d.reconstruct.experiments import sweep as sweeps
 
-    axes = {"settings": settings or (), "budgets": budgets or (), "seeds": seeds or ()}
+    axes = {"settings": tried or (), "budgets": budgets or (), "seeds": seeds or ()}
     jobs = sweeps.plan(scenes, models or ["surfnerf"], preset, set_ or (), out, **axes)
     if plan_only:
-        return console.report({"trainings": [job.name for job in jobs]}, as_json=as_json, text=sweeps.names(jobs))
+        return console.report({"trainings": [job.name for job in jobs]}, as_json=as_json, text=sweeps.listing(jobs))
     if ray or address is not None:
         from koala3d.reconstruct.experiments import on_ray  # Ray is optional
 

@@ -9,7 +9,7 @@ OUT/table.md .csv .tex, OUT/index.html
 An interrupted sweep is resumed; further scenes, models, settings, budgets and seeds can be added.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -176,7 +176,8 @@ def _shown(value: Any) -> str:
     return " ".join(map(str, value or ["nothing"])) if isinstance(value, list) else str(value)
 
 
-def names(jobs: Iterable[Job]) -> str:
-    """The trainings, a line each."""
-    listed = [job.name for job in jobs]
-    return "\n".join([*listed, f"{len(listed)} trainings"])
+def listing(jobs: Sequence[Job]) -> str:
+    """The trainings and what each changes, a line each."""
+    width = max(len(job.name) for job in jobs)
+    lines = [f"{job.name:<{width}}  {' '.join(job.changes[:-1])}".rstrip() for job in jobs]
+    return "\n".join([*lines, f"{len(jobs)} trainings"])

@@ -2,8 +2,8 @@
 
 Each Python gets a fresh virtual environment and a plain, not editable installation of everything that has wheels for it, from
 a copy of the checkout, after Hugging Face's `datasets`; that package is then installed once more, over Koala, and both are used.
-The four commands print their help, a scene is made and read, a model trains for 20 steps, and the simulated arm records a calibration
-session through the robot client of this installation; the camera is calibrated from it. Standard library only.
+The four commands print their help, a scene is made and read, a model trains for 20 steps, and the simulated arm records a
+calibration session through the robot client of this installation; the camera is calibrated from it. Standard library only.
 """
 
 import argparse

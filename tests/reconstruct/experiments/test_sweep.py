@@ -129,6 +129,7 @@ def invoke(*words: object) -> Any:
 
 def test_the_plan_trains_nothing(scene: str, tmp_path: Path) -> None:
     said = invoke("sweep", "--scene", scene, "--try", "k = 1", "--seed", 0, "--seed", 1, "--plan", "--out", tmp_path / "none")
+    assert "ball/surfnerf/k_1/seed_0   surface.neighbours=1\n" in said.stdout
     assert said.stdout.splitlines()[-1] == "4 trainings" and not (tmp_path / "none").exists()
 
 
