@@ -7,7 +7,7 @@ reveals changes that are too small for any single place. Fewer than two seeds ca
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -31,24 +31,16 @@ class Difference:
     figure: str
     before: float
     after: float
-    low: float  # lower end of the confidence interval of after - before
-    high: float
-    p: float  # p-value; NaN if it is unknown
-    count: tuple[int, int]  # number of seeds of each sweep; of places, for the mean over all
-
-    @property
-    def change(self) -> float:
-        """after - before."""
-        return self.after - self.before
+    change: Change
 
     @property
     def verdict(self) -> str:
         """ "better", "worse", "noise" or "unknown"."""
-        if not np.isfinite(self.p):
+        if not np.isfinite(self.change.p):
             return "unknown"
-        if self.p >= 1 - CONFIDENCE:
+        if self.change.p >= 1 - CONFIDENCE:
             return "noise"
-        return "better" if (self.change > 0) == (self.figure in BETTER_HIGH) else "worse"
+        return "better" if (self.change.value > 0) == (self.figure in BETTER_HIGH) else "worse"
 
 
 def compare(before: Sequence[Row], after: Sequence[Row], figures: Sequence[str] = COMPARED) -> list[Difference]:
@@ -60,33 +52,36 @@ def compare(before: Sequence[Row], after: Sequence[Row], figures: Sequence[str] 
         for place in (place for place in first if place in second):
             a, b = first[place].sample(figure), second[place].sample(figure)
             if a is not None and b is not None:
-                found.append(_difference(place, figure, (a.mean, b.mean), welch(a, b), (a.count, b.count)))
+                found.append(Difference(place, figure, a.mean, b.mean, welch(a, b)))
                 pairs.append((a.mean, b.mean))
         if len(pairs) > 1:
-            means, count = np.array(pairs), (len(pairs), len(pairs))
-            found.append(_difference(EVERYWHERE, figure, means.mean(0).tolist(), paired(means), count))
+            means = np.array(pairs)
+            found.append(Difference(EVERYWHERE, figure, *means.mean(0).tolist(), paired(means)))
     return sorted(found, key=lambda one: (one.place != EVERYWHERE, one.place))
-
-
-def _difference(place: str, figure: str, means: Sequence[float], change: Change, count: tuple[int, int]) -> Difference:
-    return Difference(place, figure, means[0], means[1], change.low, change.high, change.p, count)
 
 
 def summary(differences: Sequence[Difference]) -> dict[str, Any]:
     """All differences, and the expected number of false alarms."""
-    tested = sum(np.isfinite(one.p) for one in differences)
-    kept = ("place", "figure", "before", "after", "low", "high", "p", "verdict")
+    tested = sum(np.isfinite(one.change.p) for one in differences)
     return {
         "test": "Welch's t-test over seeds; paired t-test over places",
         "confidence": CONFIDENCE,
         "tested": tested,
         "expected_false_alarms": round((1 - CONFIDENCE) * tested, 2),
-        "differences": [{name: _known(getattr(one, name)) for name in kept} for one in differences],
+        "differences": [_content(one) for one in differences],
     }
 
 
-def _known(value: str | float) -> str | float | None:
-    return value if isinstance(value, str) or np.isfinite(value) else None
+def _content(one: Difference) -> dict[str, Any]:
+    interval = {name: value if np.isfinite(value) else None for name, value in asdict(one.change).items() if name != "value"}
+    return {
+        "place": one.place,
+        "figure": one.figure,
+        "before": one.before,
+        "after": one.after,
+        **interval,
+        "verdict": one.verdict,
+    }
 
 
 def text(differences: Sequence[Difference], *, everything: bool = False) -> str:
@@ -106,6 +101,6 @@ def text(differences: Sequence[Difference], *, everything: bool = False) -> str:
 
 def _line(one: Difference, width: int) -> str:
     shown: Callable[[float], str] = lambda value: f"{value:.4g}"  # noqa: E731
-    interval = f" ({shown(one.low)} to {shown(one.high)})" if np.isfinite(one.low) else ""
-    values = f"{shown(one.before):>10} -> {shown(one.after):<10}{one.change:+.4g}{interval}"
+    interval = f" ({shown(one.change.low)} to {shown(one.change.high)})" if np.isfinite(one.change.low) else ""
+    values = f"{shown(one.before):>10} -> {shown(one.after):<10}{one.change.value:+.4g}{interval}"
     return f"{one.verdict:<8}{one.place:<{width}}  {one.figure:<30}{values}".rstrip()

@@ -12,7 +12,7 @@ from koala3d.reconstruct.output import metric_names
 SHAPES = ("normal_pred_mae_alpha_acc_deg", "depth_rmse_mm", "diffuse_psnr", "specular_psnr", "chamfer_mm", "seconds")
 COLUMNS = (*tables.COLUMNS, *SHAPES)
 HEADINGS = ("steps", "training [s]", "reading [s]", "compiling [s]", "rays/s", "samples/s", "memory [MB]")
-KEPT = ("machine", "cores", "memory_gb", "python", "jax", "jaxlib", "numpy", "commit")
+KEPT = ("machine", "cores", "python", "jax", "jaxlib", "numpy", "commit")
 
 
 def of_results(title: str, results: Sequence[Result], *, settings: Mapping[str, Sequence[str]] | None = None) -> str:
@@ -52,7 +52,7 @@ def of_comparison(title: str, differences: Sequence[Difference]) -> str:
     page.headline([(name, Number(float(count), digits=0)) for name, count in counts], words)
     page.section("Differences")
     clear = sorted(differences, key=lambda one: one.verdict not in ("better", "worse"))
-    body = [(one.verdict, one.place, one.figure, *map(Number, (one.before, one.after, one.change, one.low, one.high)))
+    body = [(one.verdict, one.place, one.figure, *map(Number, (one.before, one.after, one.change.value, one.change.low, one.change.high)))
             for one in clear]  # fmt: skip
     page.table(("", "where", "figure", "before", "after", "change", "from", "to"), body)
     return page.render()

@@ -14,7 +14,6 @@ def scenes(
     size: Annotated[int, Option(min=16, max=2000, help="Width and height of the images in pixels.")] = 200,
     train: Annotated[int, Option(min=2, help="Number of training views.")] = 60,
     test: Annotated[int, Option(min=1, help="Number of test views.")] = 20,
-    layout: Annotated[str, Option("--format", help="Format of the folders: koala, blender or llff.")] = "koala",
     as_json: console.Json = False,
 ) -> None:
     """Render scenes whose shape and light are known exactly: five under distant light, five under near lamps."""
@@ -22,8 +21,6 @@ def scenes(
     from koala3d.reconstruct.backend import cache_compilations
     from koala3d.reconstruct.rendered import make, stages
 
-    if layout not in (layouts := ("koala", "blender", "llff")):
-        raise UsageError(f"scenes are not written as '{layout}'", where="--format", remedy=nearest(layout, layouts))
     for name in names or ():
         if name not in stages.STAGES:
             raise UsageError(f"there is no scene '{name}'", where="--scene", remedy=nearest(name, stages.STAGES))
@@ -32,7 +29,7 @@ def scenes(
     with console.progress("rendering", len(chosen) * (train + test), "views") as bar:
         for name in chosen:
             bar.note(name)
-            if make.provide(name, out / name, size=size, train=train, test=test, format=layout, done=bar.advance):
+            if make.provide(name, out / name, size=size, train=train, test=test, done=bar.advance):
                 written.append(name)
     text = "\n".join(f"{out / name}{'' if name in written else '  (existed already)'}" for name in chosen)
     console.report({"scenes": [str(out / name) for name in chosen], "written": written}, as_json=as_json, text=text)

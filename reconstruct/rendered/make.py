@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koala3d.datasets.core.errors import UsageError, nearest
-from koala3d.datasets.formats import detect, load_scene, save_scene
+from koala3d.datasets.formats import load_scene, save_scene
 from koala3d.datasets.imaging import images
 from koala3d.datasets.scene import Scene, View
 from koala3d.datasets.structure import bounds
@@ -36,7 +36,6 @@ def provide(
     size: int = SIZE,
     train: int = TRAIN,
     test: int = TEST,
-    format: str = "koala",
     done: Callable[[], None] = lambda: None,
 ) -> bool:
     """`write` a scene (seed 0) into `out` unless it exists. Returns whether it was written.
@@ -46,9 +45,9 @@ def provide(
     found = load_scene(out.absolute()) if out.is_dir() and any(out.iterdir()) else None
     if found is not None and found.provenance == _provenance(name, size, 0):
         counts = tuple(sum(view.split == split for view in found.views) for split in ("train", "test"))
-        if counts == (train, test) and detect(out) == format:
+        if counts == (train, test):
             return False
-    write(name, out, size=size, train=train, test=test, format=format, done=done)
+    write(name, out, size=size, train=train, test=test, done=done)
     return True
 
 
@@ -64,7 +63,6 @@ def write(
     train: int = TRAIN,
     test: int = TEST,
     seed: int = 0,
-    format: str = "koala",
     done: Callable[[], None] = lambda: None,
 ) -> Scene:
     """Render one of `STAGES` into the new folder `out`.
@@ -72,7 +70,6 @@ def write(
     Args:
         size: width and height of the images in pixels.
         seed: of the camera positions. The scene itself does not change.
-        format: of the folder, one of `datasets.formats.WRITERS`.
         done: called after each view.
 
     Raises UsageError: unknown scene, or `out` is not empty.
@@ -93,7 +90,7 @@ def write(
         box = box + MARGIN * (box[1] - box[0]) * [[-1.0], [1.0]]
         about = _provenance(name, size, seed)
         scene = Scene(name, tuple(views), *bounds.depth_range(views, box), box, "white", metric=True, provenance=about)
-        save_scene(scene, out, format, extra={"truth/object.ply": Path(folder) / "object.ply"})
+        save_scene(scene, out, "koala", extra={"truth/object.ply": Path(folder) / "object.ply"})
     return scene
 
 

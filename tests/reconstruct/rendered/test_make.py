@@ -108,11 +108,3 @@ def test_what_is_there_is_kept(ball_folder: Path, tmp_path: Path) -> None:
         provide("chrome_ball", ball_folder, size=48, train=4, test=2)
     with pytest.raises(UsageError, match="did you mean 'teapot'"):
         write("tepot", tmp_path / "tepot")
-
-
-def test_other_layouts(tmp_path: Path) -> None:
-    assert provide("chrome_ball", tmp_path / "blender", size=24, train=2, test=1, format="blender")
-    assert not provide("chrome_ball", tmp_path / "blender", size=24, train=2, test=1, format="blender")
-    assert (tmp_path / "blender" / "transforms_train.json").is_file()
-    scene = load_scene(tmp_path / "blender")
-    assert set(scene.split("test")[0].truth) == {"normals", "depth", "alpha", "diffuse", "specular"}
