@@ -55,8 +55,8 @@ def compare(before: Sequence[Row], after: Sequence[Row], figures: Sequence[str] 
                 found.append(Difference(place, figure, a.mean, b.mean, welch(a, b)))
                 pairs.append((a.mean, b.mean))
         if len(pairs) > 1:
-            means = np.array(pairs)
-            found.append(Difference(EVERYWHERE, figure, *means.mean(0).tolist(), paired(means)))
+            mean_before, mean_after = np.mean(pairs, 0).tolist()
+            found.append(Difference(EVERYWHERE, figure, mean_before, mean_after, paired(np.array(pairs))))
     return sorted(found, key=lambda one: (one.place != EVERYWHERE, one.place))
 
 

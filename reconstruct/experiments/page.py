@@ -15,13 +15,20 @@ HEADINGS = ("steps", "training [s]", "reading [s]", "compiling [s]", "rays/s", "
 KEPT = ("machine", "cores", "python", "jax", "jaxlib", "numpy", "commit")
 
 
-def of_results(title: str, results: Sequence[Result], *, settings: Mapping[str, Sequence[str]] | None = None) -> str:
+def of_results(
+    title: str,
+    results: Sequence[Result],
+    *,
+    settings: Mapping[str, Sequence[str]] | None = None,
+    made_by: Sequence[str] = (),
+) -> str:
     """The page of results as HTML.
 
     Args:
         settings: overrides of each setting, by "MODEL, SETTING".
+        made_by: command lines that made them.
     """
-    rows, page = rows_of(results), ReportPage(title)
+    rows, page = rows_of(results), ReportPage(title, made_by=made_by)
     columns = tables.chosen_columns(rows, COLUMNS)
     counts = {"scenes": len({row.scene for row in rows}), "rows": len(rows), "trainings": len(results)}
     page.headline([(name, Number(float(count), digits=0)) for name, count in counts.items()], _machines(results))
@@ -52,8 +59,8 @@ def of_comparison(title: str, differences: Sequence[Difference]) -> str:
     page.headline([(name, Number(float(count), digits=0)) for name, count in counts], words)
     page.section("Differences")
     clear = sorted(differences, key=lambda one: one.verdict not in ("better", "worse"))
-    body = [(one.verdict, one.place, one.figure, *map(Number, (one.before, one.after, one.change.value, one.change.low, one.change.high)))
-            for one in clear]  # fmt: skip
+    changed = lambda one: (one.before, one.after, one.change.value, one.change.low, one.change.high)  # noqa: E731
+    body = [(one.verdict, one.place, one.figure, *map(Number, changed(one))) for one in clear]
     page.table(("", "where", "figure", "before", "after", "change", "from", "to"), body)
     return page.render()
 

@@ -161,8 +161,9 @@ def results_of(folders: Sequence[Path]) -> list[Result]:
     for folder in folders:
         if (folder / RUN).is_file():
             found.append(Result.of_run(folder))
-        elif paths := sorted(folder.glob(RESULTS)):
-            found += map(Result.read, paths)
+        elif paths := list(folder.glob(RESULTS)):
+            base_first = lambda path: (path.parents[1], not path.parent.name.startswith("base"), path)  # noqa: E731
+            found += map(Result.read, sorted(paths, key=base_first))
         else:
             raise UsageError("holds no results", where=folder, remedy="give a run, or a folder made by 'reconstruct sweep'")
     return found

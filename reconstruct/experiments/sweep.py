@@ -9,6 +9,7 @@ OUT/table.md .csv .tex, OUT/index.html
 An interrupted sweep is resumed; further scenes, models, settings, budgets and seeds can be added.
 """
 
+import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import product
 from pathlib import Path
@@ -71,7 +72,8 @@ def plan(
 
 def chosen_settings(base: Config, wanted: Sequence[str]) -> Settings:
     """Overrides by the name of each wanted setting, the base first. Raises UsageError: there is no such setting."""
-    known, found = ablations(base), {BASE: ()}
+    known = ablations(base)
+    found: Settings = {BASE: ()}
     for name in wanted:
         if name == PAPER:
             found |= known
@@ -123,7 +125,7 @@ def run(wanted: Sequence[Job], out: Path, runner: Runner) -> dict[str, Any]:
     found = dict.fromkeys([*(job.result for job in wanted if job.done), *sorted(out.glob(RESULTS))])
     results = [Result.read(path) for path in found]
     if results:
-        write(results, content["settings"], out)
+        write(results, content, out)
     if failed:
         why = ": ".join(next(iter(failed.items())))
         advice = "fix it and run the sweep again: finished runs are kept"
@@ -131,13 +133,29 @@ def run(wanted: Sequence[Job], out: Path, runner: Runner) -> dict[str, Any]:
     return {"out": str(out), "runs": len(results), "trained": len(todo), "table": str(out / "table.md")}
 
 
-def write(results: Sequence[Result], settings: Mapping[str, Sequence[str]], out: Path) -> None:
-    """Write the table and the page of a sweep; existing ones are replaced."""
+def write(results: Sequence[Result], content: Mapping[str, Any], out: Path) -> None:
+    """Write the table and the page of a sweep, given the content of its file; existing ones are replaced."""
     rows = rows_of(results)
     columns = tables.chosen_columns(rows)
     for suffix, text_of in tables.FORMATS.items():
         files.write_text(out / f"table{suffix}", text_of(rows, columns))
-    files.write_text(out / PAGE, page.of_results(out.name, results, settings=settings))
+    made_by = [command(results, content, out)]
+    files.write_text(out / PAGE, page.of_results(out.name, results, settings=content["settings"], made_by=made_by))
+
+
+def command(results: Sequence[Result], content: Mapping[str, Any], out: Path) -> str:
+    """The command line that makes a sweep."""
+    origins = [one.origin for one in results]
+    axes = {
+        "scene": content["scenes"].values(),
+        "model": (origin.model for origin in origins),
+        "set": content["overrides"],
+        "try": (origin.setting for origin in origins if origin.setting != BASE),
+        "budget": (f"{origin.budget_s:g}" for origin in origins if origin.budget_s is not None),
+        "seed": (str(one.seed) for one in results),
+    }
+    words = [f"--{axis} {shlex.quote(value)}" for axis, values in axes.items() for value in dict.fromkeys(values)]
+    return " ".join(["reconstruct sweep", *words, f"--preset {content['preset']} --out {out}"])
 
 
 def open_sweep(out: Path, settings: Mapping[str, Any], members: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:

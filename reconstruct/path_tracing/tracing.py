@@ -108,7 +108,7 @@ def mesh(
     properties = mi.Properties()
     properties["bsdf"] = mi.load_dict(material)
     has = {"has_vertex_normals": True, "has_vertex_texcoords": uv is not None}
-    shape = mi.Mesh("mesh", len(vertices), len(faces), props=properties, **has)
+    shape: Any = mi.Mesh("mesh", len(vertices), len(faces), props=properties, **has)
     values = mi.traverse(shape)
     values["vertex_positions"] = vertices.astype(np.float32).ravel()
     values["faces"] = faces.astype(np.uint32).ravel()

@@ -50,7 +50,7 @@ class Renderer:
         choose(using)
         materials = [part.material for part in scene.parts]
         kinds: tuple[Kind, ...] = ("diffuse", "specular") if _mixed(materials) else ("all",)
-        self._scenes = {kind: loaded(scene, meshes, kind) for kind in kinds}
+        self._scenes: dict[Kind, PathTraced] = {kind: loaded(scene, meshes, kind) for kind in kinds}
         self._is_diffuse = np.array([isinstance(material, Matte) for material in materials])
 
     def parts_of_light(

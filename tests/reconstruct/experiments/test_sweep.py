@@ -75,7 +75,8 @@ def test_settings_and_seeds_make_rows_with_means(scene: str, tmp_path: Path, run
         "|  | surfnerf, scale=0.5 surface.bias=0 | **24.50 ± 2.12** | **25.50 ± 2.12** |",
     ]
     page = (tmp_path / "index.html").read_text()
-    assert "Gain over the base" in page and "95 % confidence" in page and "surface.sampling=random" in page
+    named = "--try &#39;sampling random&#39; --try &#39;scale=0.5 surface.bias=0&#39; --seed 0 --seed 2 --preset fast"
+    assert named in page and "Gain over the base" in page and "95 % confidence" in page and "surface.sampling=random" in page
 
 
 def test_all_of_the_papers_ablations_are_one_word(scene: str, tmp_path: Path) -> None:
