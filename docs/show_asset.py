@@ -27,10 +27,10 @@ from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core import console
 from koala3d.datasets.core.errors import KoalaError, UsageError
 from koala3d.datasets.imaging import images
-from koala3d.reconstruct.asset.stage import reading
-from koala3d.reconstruct.asset.stage.stage import Stage
-from koala3d.reconstruct.bench.asset.proof import shown
+from koala3d.reconstruct.output.proof.proof import shown
 from koala3d.reconstruct.output.trained_model import TrainedModel
+from koala3d.reconstruct.path_tracing import reading
+from koala3d.reconstruct.path_tracing.stage import Stage
 
 Picture = NDArray[np.float32]
 

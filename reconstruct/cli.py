@@ -7,11 +7,11 @@ from typer import Argument, Option
 
 from koala3d.datasets.core import console
 from koala3d.reconstruct.asset import command as asset_command
-from koala3d.reconstruct.bench import commands as bench_commands
 from koala3d.reconstruct.diagnosis import command as diagnosis_command
+from koala3d.reconstruct.experiments import commands as experiment_commands
 from koala3d.reconstruct.options import Preset
 from koala3d.reconstruct.output import commands as output_commands
-from koala3d.reconstruct.studies import commands as study_commands
+from koala3d.reconstruct.rendered import command as scenes_command
 from koala3d.reconstruct.training import command as train_command
 
 app = console.make_app("reconstruct", "Train Surf-NeRF on a scene, evaluate it, and export images and geometry.")
@@ -72,15 +72,20 @@ def view(
         page.serve()
 
 
-app.command()(train_command.train)
-app.command()(models)
-app.command()(backend)
-app.add_typer(study_commands.app)
-app.add_typer(output_commands.app)
-app.add_typer(asset_command.app)
-app.command()(diagnosis_command.diagnose)
-app.command()(view)
-app.add_typer(bench_commands.app, name="bench")
+COMMANDS = {
+    console.MAIN: (
+        train_command.train,
+        output_commands.eval_command,
+        output_commands.mesh,
+        asset_command.asset,
+    ),
+    console.LOOK: (view, output_commands.report, output_commands.render, asset_command.light),
+    console.CHECK: (diagnosis_command.diagnose, models, backend),
+    console.STUDY: (experiment_commands.sweep, experiment_commands.table, scenes_command.scenes),
+}
+for _panel, _commands in COMMANDS.items():
+    for _command in _commands:
+        app.command(_command.__name__.removesuffix("_command"), panel=_panel)(_command)
 
 
 def main() -> None:

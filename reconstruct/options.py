@@ -19,10 +19,7 @@ def _presets(incomplete: str) -> list[str]:
 
 
 RunFolder = Annotated[Path, Argument(metavar="RUN", help="Folder made by 'reconstruct train'.")]
-SceneName = Annotated[str, Argument(metavar="SCENE", help="Scene folder, as for 'train'.")]
-SceneNames = Annotated[list[str], Argument(metavar="SCENE...", help="Scene folders, as for 'train'.")]
 NewFolder = Annotated[Path, Option("--out", help="Folder to write; must be new.")]
-StudyFolder = Annotated[Path, Option("--out", help="Folder to write; an interrupted study is resumed.")]
 ModelName = Annotated[str, Option("--model", help="Model, see 'reconstruct models'.", autocompletion=_models)]
 Preset = Annotated[
     str, Option("--preset", help="fast: a workstation without GPU; paper: the published sizes.", autocompletion=_presets)
@@ -33,8 +30,4 @@ Settings = Annotated[
 Budget = Annotated[
     float | None,
     Option("--budget", help="Seconds of training per run, turned into a number of steps; default: train.steps steps."),
-]
-Seeds = Annotated[
-    list[int] | None,
-    Option("--seed", min=0, help="Seed to train with; repeatable: tables then show means and standard deviations."),
 ]

@@ -64,7 +64,7 @@ settings.load_profile("quick")  # `make test-all` takes the other
 LONG = (
     "tests/reconstruct/training/test_every_model.py",
     "tests/test_pipeline.py",
-    "tests/reconstruct/studies/test_sweep_on_ray.py",
+    "tests/reconstruct/experiments/test_sweep_on_ray.py",
     "tests/reconstruct/training/test_quality.py",
     "tests/faults/test_faults.py",
     "tests/reconstruct/training/test_distributed.py",

@@ -15,10 +15,10 @@ ROOT = Path(__file__).parent.parent
 PACKAGES = ("capture", "calib", "datasets", "reconstruct")
 OURS = "koala3d."
 ALLOWED = {package: {package, "datasets", "configs"} for package in PACKAGES} | {"datasets": {"datasets"}}
-VENDORS = {"OpenImageIO": 1, "pypylon": 1, "mitsuba": 3, "rtde_control": 1, "pycolmap": 4}
+VENDORS = {"OpenImageIO": 1, "pypylon": 1, "mitsuba": 2, "rtde_control": 1, "pycolmap": 4}
 VENDORS |= {"harvesters": 1, "genicam": 1, "pyrealsense2": 2, "gphoto2": 1, "ray": 1}
-"""Vendor's library: in how many modules it may be imported. mitsuba: laboratory, scenes of the
-benchmark, proof of assets. pycolmap: writes files, adjusts bundles, matches features, maps.
+"""Vendor's library: in how many modules it may be imported. mitsuba: laboratory, path tracing of
+assets and scenes. pycolmap: writes files, adjusts bundles, matches features, maps.
 pyrealsense2: driver, software device. genicam: settings and errors."""
 NUMERICS = {"jax", "equinox", "optax", "mitsuba", "pypylon", "rtde_control", "harvesters", "pyrealsense2", "gphoto2"}
 

@@ -3,13 +3,12 @@
 from pathlib import Path
 from typing import Annotated, Any
 
-from typer import Option, Typer
+from typer import Option
 
 from koala3d.datasets.core import console
 from koala3d.reconstruct.options import RunFolder
 from koala3d.reconstruct.output.commands import StandsOn
 
-app = Typer()
 Faces = Annotated[int, Option(min=100, help="Target number of triangles.")]
 Resolution = Annotated[int, Option(min=16, max=768, help="Grid points along the longest side of the object's box.")]
 Closed = Annotated[bool, Option("--closed/--open", help="Close the surface where it leaves the box.")]
@@ -29,7 +28,6 @@ _FILE = "File to write: FILE.glb, .obj, .usd or .usdz; with --robot a folder; mu
 _ROBOT = "Write a folder for robot simulators: urdf or mjcf, with convex parts, mass and inertia."
 
 
-@app.command()
 def asset(
     run: RunFolder,
     out: Annotated[Path, Option("--out", metavar="FILE|FOLDER", help=_FILE)],
@@ -103,7 +101,6 @@ def _write_body(
     console.report({"out": str(out), **result}, as_json=as_json, text=f"{text}\n{out}")
 
 
-@app.command()
 def light(
     run: RunFolder,
     out: Annotated[Path, Option("--out", metavar="FILE.exr", help="File to write; must be new.")],

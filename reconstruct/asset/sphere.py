@@ -74,12 +74,3 @@ def mirrored_at(
     distance, index = _tree().query(directions, k=AROUND)
     shares = _ggx(2 * np.arcsin(np.minimum(distance / 2, 1)), SMALLEST)
     return np.sum(values[index] * (shares / shares.sum(-1, keepdims=True))[..., None], axis=1)
-
-
-def equirectangular(height: int) -> Float[np.ndarray, "height width 3"]:
-    """Unit direction of each pixel's centre: zenith z in the first row, x in the middle column, azimuth falling to the right."""
-    polar = (np.arange(height) + 0.5) / height * np.pi
-    azimuth = np.pi - (np.arange(2 * height) + 0.5) / height * np.pi
-    across = np.sin(polar)[:, None]
-    axes = (across * np.cos(azimuth), across * np.sin(azimuth), np.broadcast_to(np.cos(polar)[:, None], (height, 2 * height)))
-    return np.stack(axes, -1)

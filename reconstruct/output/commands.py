@@ -1,17 +1,15 @@
-"""Commands for a trained run: figures, eval, render, film, mesh, report."""
+"""Commands for a trained run: eval, render, mesh, report."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from typer import Argument, Option, Typer
+from typer import Argument, Option
 
 from koala3d.datasets.core import console
 from koala3d.reconstruct.options import NewFolder, RunFolder
 
 if TYPE_CHECKING:
     from koala3d.reconstruct.output.trained_model import TrainedModel
-
-app = Typer()
 
 
 def _side(name: str | None) -> str | None:
@@ -33,21 +31,9 @@ _REMOVES = "Removes the table top, and whatever enters the box through other sid
 StandsOn = Annotated[str | None, Option("--stands-on", metavar="SIDE", callback=_side, help=f"{_ON} {_REMOVES}")]
 
 
-@app.command()
-def figures(
-    run: RunFolder,
-    out: NewFolder,
-    steps: Annotated[int, Option(min=1, help="Steps of the short training for the figure of ray weights.")] = 600,
-    as_json: console.Json = False,
-) -> None:
-    """Draw the figures of the paper's supplement from the code and a trained run."""
-    from koala3d.reconstruct.output.paper_figures import draw_all
-
-    result = draw_all(opened(run), out, steps=steps)
-    console.report(result, as_json=as_json, text="\n".join(result["figures"]))
+_ASSET = "Asset"
 
 
-@app.command("eval")
 def eval_command(
     run: Annotated[Path | None, Argument(metavar="RUN", help="Folder made by 'reconstruct train'.")] = None,
     split: Split = "test",
@@ -59,15 +45,36 @@ def eval_command(
         Path | None, Option(metavar="WEIGHTS.npz", help="Compute LPIPS (AlexNet) with these weights, see docs/numbers.md.")
     ] = None,
     stands_on: StandsOn = None,
+    asset: Annotated[
+        Path | None,
+        Option(
+            metavar="FILE.glb", help="Compare the run's asset, rendered by Mitsuba, instead of the model.", rich_help_panel=_ASSET
+        ),
+    ] = None,
+    light: Annotated[Path | None, Option(metavar="FILE.exr", help="Light around the asset.", rich_help_panel=_ASSET)] = None,
+    paths: Annotated[int, Option(min=1, max=65536, help="Light paths per pixel.", rich_help_panel=_ASSET)] = 64,
+    relit: Annotated[
+        int | None,
+        Option(
+            min=0, metavar="NUMBER", help="Also in another studio's light (of 'reconstruct scenes' only).", rich_help_panel=_ASSET
+        ),
+    ] = None,
+    show: Annotated[
+        Path | None, Option(help="New folder: each view as photograph, model and asset side by side.", rich_help_panel=_ASSET)
+    ] = None,
     as_json: console.Json = False,
 ) -> None:
-    """Evaluate a run (writes RUN/metrics.json), or another program's images, on the test views."""
+    """Evaluate a run (writes RUN/metrics.json), its asset, or another program's images, on the test views."""
     from koala3d.datasets.core.errors import UsageError
     from koala3d.datasets.formats import load_scene
     from koala3d.reconstruct.output.evaluate import METRICS, evaluate, table
     from koala3d.reconstruct.output.external_renderings import measure
     from koala3d.reconstruct.output.lpips import Lpips
 
+    if run is not None and asset is not None and light is not None:
+        return _prove(run, asset, light, split, paths, relit, show, as_json)
+    if (asset, light, relit, show) != (None, None, None, None):
+        raise UsageError("an asset is compared with its run, under its light", remedy="give RUN, --asset and --light")
     perceptual = None if lpips is None else Lpips.load(lpips)
     if run is not None and renders is None and scene is None and out is None:
         result = evaluate(opened(run), split=split, lpips=perceptual, align=align, stands_on=stands_on)
@@ -79,43 +86,61 @@ def eval_command(
     console.report(result, as_json=as_json, text=f"{table(result)}\n{where or ''}".rstrip())
 
 
-@app.command()
-def render(run: RunFolder, out: NewFolder, split: Split = "test", path: CameraPath = None, as_json: console.Json = False) -> None:
-    """Render views, or the frames of a camera path: colour, diffuse, specular, normals, depth, opacity, roughness."""
+def _prove(
+    run: Path, asset: Path, light: Path, split: str, paths: int, relit: int | None, show: Path | None, as_json: bool
+) -> None:
     from koala3d.datasets.core.files import refuse_existing
-    from koala3d.reconstruct.output import camera_path, export
+    from koala3d.reconstruct.output.proof import proof
 
-    refuse_existing(out)
-    frames = None if path is None else camera_path.from_file(path)[0]
-    trained = opened(run)
-    result = export.render(trained, out, split=split) if frames is None else export.render_along(trained, frames, out)
-    console.report(result, as_json=as_json, text=f"{result['views']} views in {out}")
+    if show is not None:
+        refuse_existing(show)
+    found = proof.prove(opened(run), asset, light, split=split, paths=paths, relit=relit, out=show)
+    places = "\n".join(str(path) for path in (run / proof.METRICS, show) if path is not None)
+    console.report(found, as_json=as_json, text=f"{proof.text(found)}\n{places}")
 
 
-@app.command()
-def film(
+_FILM = "Film"
+
+
+def render(
     run: RunFolder,
-    out: Annotated[Path, Option("--out", metavar="FILE.mp4", help="File to write; must be new.")],
+    out: Annotated[Path, Option("--out", metavar="FOLDER|FILE.mp4", help="Folder of pictures, or film; must be new.")],
+    split: Split = "test",
     path: CameraPath = None,
-    frames: Annotated[int, Option(min=1, help="Without --path: number of frames of the orbit.")] = 120,
-    fps: Annotated[float, Option(min=0.1, max=240, help="Without --path: frames per second.")] = 30.0,
+    frames: Annotated[
+        int | None,
+        Option(min=1, help="Without --path: frames of an orbit around the object. Default: 120.", rich_help_panel=_FILM),
+    ] = None,
+    fps: Annotated[
+        float | None, Option(min=0.1, max=240, help="Without --path: frames per second. Default: 30.", rich_help_panel=_FILM)
+    ] = None,
     shown: Annotated[
-        list[str] | None, Option("--channel", help="rgb, diffuse, specular, normals, depth_view, ...; repeatable, side by side.")
+        list[str] | None,
+        Option(
+            "--channel", help="rgb, diffuse, specular, normals, depth_view, ...; repeatable, side by side.", rich_help_panel=_FILM
+        ),
     ] = None,
     as_json: console.Json = False,
 ) -> None:
-    """Render a film (MP4) along a camera path, or along an orbit around the object."""
-    from koala3d.reconstruct.output import camera_path
-    from koala3d.reconstruct.output.film import film
+    """Render views, or the frames of a camera path, in all channels; or a film (MP4) along a path or an orbit."""
+    from koala3d.datasets.core.errors import UsageError
+    from koala3d.datasets.core.files import refuse_existing
+    from koala3d.reconstruct.output import camera_path, export, film
 
     along = None if path is None else camera_path.from_file(path)
+    if out.suffix.lower() != ".mp4":
+        if (frames, fps, shown) != (None, None, None):
+            raise UsageError("--frames, --fps and --channel are for films", where=out, remedy="end --out in .mp4")
+        refuse_existing(out)
+        trained = opened(run)
+        result = export.render(trained, out, split=split) if along is None else export.render_along(trained, along[0], out)
+        return console.report(result, as_json=as_json, text=f"{result['views']} views in {out}")
     trained = opened(run)
-    poses, rate = along or (camera_path.orbit(trained.scene, frames), fps)
-    result = film(trained, poses, out, shown=shown or ("rgb",), fps=rate)
-    console.report(result, as_json=as_json, text=f"{result['frames']} frames at {rate:g} per second\n{out}")
+    poses, rate = along or (camera_path.orbit(trained.scene, frames or 120), fps or 30.0)
+    result = film.film(trained, poses, out, shown=shown or ("rgb",), fps=rate)
+    return console.report(result, as_json=as_json, text=f"{result['frames']} frames at {rate:g} per second\n{out}")
 
 
-@app.command()
 def mesh(
     run: RunFolder,
     out: Annotated[Path, Option("--out", metavar="FILE", help="File to write: FILE.ply, FILE.glb or FILE.obj; must be new.")],
@@ -151,7 +176,6 @@ def mesh(
     console.report({"out": str(out), **result}, as_json=as_json, text=f"{text}\n{out}")
 
 
-@app.command()
 def report(
     run: RunFolder,
     out: NewFolder,

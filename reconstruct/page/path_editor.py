@@ -1,4 +1,4 @@
-"""Editor of camera paths on the page of a run, for 'reconstruct film --path' and 'render --path'."""
+"""Editor of camera paths on the page of a run, for 'reconstruct render --path'."""
 
 import time
 from pathlib import Path

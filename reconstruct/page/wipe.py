@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from koala3d.datasets.imaging import images
 from koala3d.datasets.scene import View
-from koala3d.reconstruct.asset.stage.reading import StoredAsset, read
-from koala3d.reconstruct.asset.stage.stage import Stage, over_white, require_mitsuba
 from koala3d.reconstruct.page import compose
 from koala3d.reconstruct.page.compose import Viewpoint
+from koala3d.reconstruct.path_tracing.reading import StoredAsset, read
+from koala3d.reconstruct.path_tracing.stage import Stage, over_white, require_mitsuba
 
 Picture = NDArray[np.float32]
 

@@ -8,6 +8,33 @@ from typer import Argument, Option
 from koala3d.datasets.core import console
 from koala3d.reconstruct.options import Budget, ModelName, Preset, Settings
 
+START, SPEED, MACHINES = "Start", "Speed", "Several machines"
+"""Panels of the command's help."""
+From = Annotated[
+    Path | None,
+    Option("--from", metavar="RUN", help="Run whose weights to start from; its configuration is used.", rich_help_panel=START),
+]
+Finetune = Annotated[
+    bool, Option("--finetune", help="With --from: train on, on its scene, with the surface regularisers.", rich_help_panel=START)
+]
+Rays = Annotated[
+    int | None, Option(min=256, help="Rays per step; learning rate and steps follow by linear scaling.", rich_help_panel=SPEED)
+]
+NoSkip = Annotated[
+    list[str] | None,
+    Option("--no-skip", metavar="NAME", help="Never skip this; repeatable, see docs/skipping.md.", rich_help_panel=SPEED),
+]
+Coordinator = Annotated[
+    str | None,
+    Option(metavar="HOST:PORT", envvar="JAX_COORDINATOR_ADDRESS", help="Address of the first process.", rich_help_panel=MACHINES),
+]
+Processes = Annotated[
+    int | None, Option(min=1, envvar="JAX_NUM_PROCESSES", help="Number of processes.", rich_help_panel=MACHINES)
+]
+Process = Annotated[
+    int | None, Option(min=0, envvar="JAX_PROCESS_ID", help="Index of this process, from 0.", rich_help_panel=MACHINES)
+]
+
 
 def train(
     scene: Annotated[
@@ -19,33 +46,17 @@ def train(
     preset: Preset = "fast",
     budget: Budget = None,
     set_: Settings = None,
-    resume: Annotated[bool, Option("--resume", help="Resume the run in --out.")] = False,
-    from_: Annotated[
-        Path | None, Option("--from", metavar="RUN", help="Run whose weights to start from; its configuration is used.")
-    ] = None,
-    finetune: Annotated[
-        bool, Option("--finetune", help="With --from: train on, on its scene, with the surface regularisers.")
-    ] = False,
-    rays: Annotated[int | None, Option(min=256, help="Rays per step; learning rate and steps follow by linear scaling.")] = None,
-    no_skip: Annotated[
-        list[str] | None, Option("--no-skip", metavar="NAME", help="Never skip this; repeatable, see docs/skipping.md.")
-    ] = None,
-    tensorboard: Annotated[bool, Option("--tensorboard", help="Also log to TensorBoard (extra 'tensorboard').")] = False,
-    coordinator: Annotated[
-        str | None,
-        Option(
-            metavar="HOST:PORT", envvar="JAX_COORDINATOR_ADDRESS", help="Address of the first process of a distributed training."
-        ),
-    ] = None,
-    processes: Annotated[
-        int | None, Option(min=1, envvar="JAX_NUM_PROCESSES", help="With --coordinator: number of processes.")
-    ] = None,
-    process: Annotated[
-        int | None, Option(min=0, envvar="JAX_PROCESS_ID", help="With --coordinator: index of this process, from 0.")
-    ] = None,
     list_settings: Annotated[
         bool, Option("--list-settings", help="List every --set key with type, default and meaning.")
     ] = False,
+    resume: Annotated[bool, Option("--resume", help="Resume the run in --out.", rich_help_panel=START)] = False,
+    from_: From = None,
+    finetune: Finetune = False,
+    rays: Rays = None,
+    no_skip: NoSkip = None,
+    coordinator: Coordinator = None,
+    processes: Processes = None,
+    process: Process = None,
     as_json: console.Json = False,
 ) -> None:
     """Train a model on the training views of a scene."""
@@ -56,7 +67,7 @@ def train(
     from koala3d.reconstruct.training.loop import train as run_training
     from koala3d.reconstruct.training.ray_count import scaled
 
-    set_ = [*(set_ or ()), *record.forced(no_skip or ()), *(["train.tensorboard=true"] if tensorboard else [])]
+    set_ = [*(set_ or ()), *record.forced(no_skip or ())]
     if list_settings:
         return _list_settings(model, preset, set_, as_json)
     out = _agreed(scene, from_, finetune, out)

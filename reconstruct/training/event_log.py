@@ -77,6 +77,6 @@ def _tensorboardx() -> tuple[Any, Any]:
         raise UsageError(
             "TensorBoard's files cannot be written",
             why="tensorboardX is not installed",
-            remedy="pip install 'koala-capture[tensorboard]', or train without --tensorboard",
+            remedy="pip install 'koala-capture[tensorboard]', or leave train.tensorboard out",
         ) from None
     return event_file_writer, event_pb2

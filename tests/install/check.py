@@ -109,9 +109,7 @@ class Installation:
 
     def train(self) -> str:
         """Make and read a scene, train on it for 20 steps."""
-        self.koala(
-            "reconstruct", "bench", "scenes", "--scene", "gold_rings", "--size", "32", "--train", "8", "--test", "2", "--out", "s"
-        )
+        self.koala("reconstruct", "scenes", "--scene", "gold_rings", "--size", "32", "--train", "8", "--test", "2", "--out", "s")
         views = sum(json.loads(self.koala("datasets", "info", "s/gold_rings", "--json"))["views"].values())
         settings = ["--set", "train.steps=20", "--set", "sampler.samples=2048"]
         result = json.loads(self.koala("reconstruct", "train", "s/gold_rings", *settings, "--out", "run", "--json"))

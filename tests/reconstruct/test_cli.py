@@ -57,7 +57,7 @@ def test_light_is_refused_before_anything_is_computed(
     (tmp_path / "light.exr").write_text("here")
     code, _, err = command("asset", run, "--out", tmp_path / "a.glb", "--light", tmp_path / "light.exr")
     assert code == 2 and "already exists" in err and not (tmp_path / "a.glb").exists()
-    code, _, err = command("bench", "asset", run, tmp_path / "a.glb", tmp_path / "light.exr")
+    code, _, err = command("eval", run, "--asset", tmp_path / "a.glb", "--light", tmp_path / "light.exr")
     assert code == 1 and "there is no such asset" in err
 
 
@@ -72,8 +72,8 @@ def test_misuse_is_one_line(command: Callable[..., tuple[int, str, str]], make_r
         ("train", "--out", tmp_path / "r"): "give either a scene, or --from RUN --finetune",
         ("train", "--out", tmp_path / "r", "--from", run): "give either a scene, or --from RUN --finetune",
         ("table", run): "has not been evaluated",
-        ("film", run, "--out", tmp_path / "film.avi"): "end --out in .mp4",
-        ("ablate", tmp_path / "none", "--out", tmp_path / "r"): "no such scene",
+        ("render", run, "--out", tmp_path / "film.avi", "--fps", 10): "end --out in .mp4",
+        ("sweep", "--scene", tmp_path / "none", "--out", tmp_path / "r"): "no such scene",
         ("sweep", "--out", tmp_path / "r", "--scene", tmp_path, "--model", "surfnrf"): "did you mean 'surfnerf'",
         ("eval", run, "--split", "val"): "scene has no val views",
         ("eval", run, "--splat", "val"): "there is no option '--splat'; did you mean '--split'",
@@ -131,13 +131,6 @@ def test_settings_are_listed_with_the_defaults_of_the_model_and_preset(command: 
     code, out, _ = command("train", "--list-settings", "--json")
     rows = {row["key"]: row for row in json.loads(out)["settings"]}
     assert code == 0 and rows["train.rate"]["type"] == "float > 0" and rows["encoding.kind"]["default"] == "lattice"
-
-
-def test_a_plan_of_ablations_trains_nothing(
-    command: Callable[..., tuple[int, str, str]], ball_scene: tuple, tmp_path: Path
-) -> None:
-    code, out, _ = command("ablate", ball_scene[1], "--out", tmp_path / "study", "--plan")
-    assert code == 0 and "sampling random" in out and "surface.neighbours=5" in out and not (tmp_path / "study").exists()
 
 
 def test_measured_runs_become_a_table(

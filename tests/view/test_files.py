@@ -54,25 +54,13 @@ def of_diagnosis(fixture: Fixture, out: Path) -> Path:
     return write(diagnose(fixture("ball"), pictures=False), fixture("ball"), out / "page")
 
 
-def of_study(fixture: Fixture, out: Path) -> Path:
-    from koala3d.reconstruct.studies import ablate
-    from koala3d.reconstruct.studies.results import Row
+def of_sweep(fixture: Fixture, out: Path) -> Path:
+    from koala3d.reconstruct.experiments import comparison, page
 
-    study = ablate.plan(str(fixture("ball_scene")[1]), "surfnerf", "fast", [], None, ["k = 1"])
-    rows = [Row("ball", name, {"psnr": psnr}) for name, psnr in zip(study.cells, (20.0, 21.0), strict=True)]
-    ablate.page(rows, ["psnr"], study, study.cells, out).write(out / "page.html")
+    make_row = fixture("make_row")
+    before, after = ([make_row(scene, psnr=psnr) for scene in ("ball", "head")] for psnr in (20.0, 22.0))
+    (out / "page.html").write_text(page.of_comparison("after against before", comparison.compare(before, after)))
     return out / "page.html"
-
-
-def of_benchmark(fixture: Fixture, out: Path) -> Path:
-    from koala3d.reconstruct.bench import report
-    from koala3d.reconstruct.bench.records import Records
-    from koala3d.reconstruct.bench.runner import RECORDS
-
-    records = Records(out / RECORDS)
-    for scene in ("chrome_ball", "gold_head"):
-        records.append(fixture("make_row")(scene=scene))
-    return report.write(out)
 
 
 REPORTS = {
@@ -81,8 +69,7 @@ REPORTS = {
     "datasets/reports/scene.py": of_scene,
     "reconstruct/output/report.py": of_run,
     "reconstruct/diagnosis/diagnose.py": of_diagnosis,
-    "reconstruct/studies/ablate.py": of_study,
-    "reconstruct/bench/report.py": of_benchmark,
+    "reconstruct/experiments/page.py": of_sweep,
 }
 """How the report of each module is made."""
 

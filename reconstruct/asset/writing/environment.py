@@ -1,7 +1,7 @@
 """The light around an object as a picture of all directions: an equirectangular EXR, as renderers and viewers take it.
 
-The picture stands in the asset's frame: its first row is the asset's y axis, its middle column x, and 90 degrees right of that
-lies z. Programs that import the asset and the picture have both in one frame, be their own upward axis y or z.
+Its frame is that of `panorama`. Programs that import the asset and the picture have both in one frame, be their own upward axis y
+or z.
 """
 
 from pathlib import Path
@@ -15,11 +15,10 @@ from koala3d.datasets.imaging import images
 from koala3d.reconstruct.asset import sphere
 from koala3d.reconstruct.asset.light import Light
 from koala3d.reconstruct.output.trained_model import TrainedModel
+from koala3d.reconstruct.path_tracing.panorama import directions
 
 HEIGHT = 256
 """Default number of rows: 0.7 degrees apart, finer than the light is known."""
-ASSET_FROM_PICTURE = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])
-"""`sphere.equirectangular` has its zenith along z, the asset along y."""
 KNOWN = 0.5  # of `Light.known`, from which on a direction counts as known in summaries
 
 
@@ -47,11 +46,6 @@ def picture(light: Light, base_from_asset: Float[np.ndarray, "4 4"], height: int
     values = np.concatenate([light.radiance, light.known[:, None]], -1)
     towards = directions(base_from_asset, height)
     return sphere.mirrored_at(values, towards.reshape(-1, 3)).reshape(height, 2 * height, 4).astype(np.float32)
-
-
-def directions(base_from_asset: Float[np.ndarray, "4 4"], height: int) -> Float[np.ndarray, "h w 3"]:
-    """Unit direction in the world of each pixel of a picture in the asset's frame."""
-    return sphere.equirectangular(height) @ (base_from_asset[:3, :3] @ ASSET_FROM_PICTURE).T
 
 
 def save(light: Light, base_from_asset: Float[np.ndarray, "4 4"], path: Path, *, height: int = HEIGHT) -> None:

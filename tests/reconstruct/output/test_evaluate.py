@@ -26,7 +26,7 @@ def test_a_model_that_is_the_truth_scores_as_one(ball: TrainedModel) -> None:
     before = {"format": evaluate.FORMAT, "version": evaluate.VERSION, "steps": ball.step, "old": 1, "asset": {"views": 2}}
     (ball.run.path / "metrics.json").write_text(json.dumps(before))
     result = evaluate.evaluate(ball)
-    assert result["asset"] == {"views": 2} and "old" not in result  # `reconstruct bench asset` measured the same state
+    assert result["asset"] == {"views": 2} and "old" not in result  # `reconstruct eval --asset` measured the same state
     found = result["mean"]
     assert result["views"] == 2 and result["size"] == [48, 40] and result["split"] == "test"
     assert found["psnr"] > 25 and found["ssim"] > 0.93

@@ -6,11 +6,11 @@ import pytest
 from scipy.signal import correlate
 
 from koala3d.datasets.core.errors import DatasetError, KoalaError, UsageError
+from koala3d.reconstruct.experiments import tables
+from koala3d.reconstruct.experiments.results import results_of, rows_of
 from koala3d.reconstruct.output import evaluate
 from koala3d.reconstruct.output.lpips import LAYERS, SMALLEST, WEIGHTS, Lpips
 from koala3d.reconstruct.output.trained_model import TrainedModel
-from koala3d.reconstruct.studies import results_table
-from koala3d.reconstruct.studies.results import rows_of_runs
 
 PUBLISHED = {(47, 40): 0.3724093, (31, 33): 0.3338005}
 """What lpips 0.1.4 on torch 2.15 gave in float32 for the weights and pictures of this file, by the pictures' height and width."""
@@ -145,5 +145,5 @@ def test_a_run_is_measured_with_it(ball: TrainedModel, weights_file: Path, lpips
     assert "AlexNet, version 0.1" in written["definitions"]["lpips"]
     assert written["lpips_weights"] == {"file": weights_file.name, "sha256": lpips.sha256} and len(lpips.sha256) == 64
     assert "LPIPS" in evaluate.table(result)
-    rows = rows_of_runs([ball.run.path])
-    assert "LPIPS" in results_table.markdown(rows, results_table.chosen_columns(rows))
+    rows = rows_of(results_of([ball.run.path]))
+    assert "LPIPS" in tables.markdown(rows, tables.chosen_columns(rows))

@@ -12,10 +12,10 @@ from koala3d.datasets import pose
 from koala3d.datasets.core.errors import DatasetError, UsageError
 from koala3d.datasets.imaging import images
 from koala3d.datasets.page import open_page
-from koala3d.reconstruct.asset.stage import trial
 from koala3d.reconstruct.output.trained_model import TrainedModel
 from koala3d.reconstruct.page.compose import Viewpoint
 from koala3d.reconstruct.page.wipe import ASSET, NOTHING, PHOTOGRAPH, LitAsset, Wipe, lit_asset
+from koala3d.reconstruct.path_tracing import trial
 
 pytest.importorskip("mitsuba", reason="Mitsuba is absent: pip install 'koala-capture[sim]'")
 FRONT = Viewpoint(pose.look_at(np.array([0.0, 0, 5]), np.zeros(3), up=np.array([0.0, 1, 0])), 0.8, 1.5)

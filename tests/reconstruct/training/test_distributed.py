@@ -77,12 +77,11 @@ distributed.gathered([0.0])
 print("SAID" + json.dumps({**said, "complaints": complaints, "left": own.exists()}), flush=True)
 """
 
-WORK = """
+WORK = '''
 import hashlib, json, os, re, sys
 
 os.environ["KOALA_KERNELS"] = "off"  # whose operations the compiler does not count
 import jax, jax.numpy as jnp, numpy as np
-from koala3d.reconstruct.bench.gpu.plan import SMALL
 from koala3d.reconstruct.field.encodings import grid
 from koala3d.reconstruct.models import load_config
 from koala3d.reconstruct.scene.facts import SceneFacts
@@ -97,7 +96,11 @@ grid.by_row = lambda: True  # as several devices do it
 count, process, coordinator = int(sys.argv[1]), int(sys.argv[2]), sys.argv[3]
 if count > 1:
     distributed.join(coordinator, count, process)
-config = load_config("zipnerf", "paper", [*SMALL, "sampler.rays=1024"])
+small = """encoding.levels=1 encoding.log2_size=6 field.spatial_width=4 field.spatial_depth=1 field.view_width=4
+field.view_depth=1 field.view_skip=0 field.bottleneck=2 field.ide_degree=1 sampler.grid=16 sampler.steps=32
+sampler.samples=1024 sampler.proposals=[8,8] sampler.final=8 sampler.proposal_finest=[8,16] sampler.frustum=point
+surface.enabled=false surface.rays=32"""
+config = load_config("zipnerf", "paper", [*small.split(), "sampler.rays=1024"])
 key, total = jax.random.key(0), 9999
 pixels = Pixels(
     jax.random.uniform(key, (total, 4), jnp.float16), jax.random.normal(key, (total, 3)), jnp.arange(total) % 3,
@@ -125,7 +128,7 @@ said["samples"] = said["rays"] * config.sampler.final
 whole = jax.jit(lambda a: a, out_shardings=step.division.everywhere)((drawn.rays.directions, drawn.colour))
 data = b"".join(np.asarray(leaf.addressable_data(0)).tobytes() for leaf in whole)
 print("SAID" + json.dumps({**said, "digest": hashlib.sha256(data).hexdigest()}), flush=True)
-"""
+'''
 
 
 def free_port() -> int:

@@ -1,1 +1,0 @@
-"""An asset's files shown by a foreign renderer, Mitsuba."""

@@ -1,1 +1,0 @@
-"""Run time against error: frozen scenes, trainings under time budgets, what a step costs, and what the machine allows."""

@@ -1,1 +1,0 @@
-"""What a training step costs: kernels, instructions, the machine's limits."""

@@ -1,1 +1,0 @@
-"""Studies of several trainings: ablations, sweeps, tables, the cost of each skip."""
