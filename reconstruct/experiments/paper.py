@@ -15,7 +15,8 @@ def ablations(base: Config) -> Settings:
     """The paper's ablations around a configuration, by name, without those that would repeat it.
 
     Sampling of the sphere, frequency of the second pass, form of the density smoothness, each loss disabled (or, if the base
-    disables it, enabled with the published weight), and no hollowness. "no second pass" disables the four regularisers; "no regulariser" leaves the losses of Ref-NeRF at its weights.
+    disables it, enabled with the published weight), and no hollowness. "no second pass" disables the four regularisers;
+    "no regulariser" leaves the losses of Ref-NeRF at its weights.
     """
     settings: Settings = {}
     surface = base.surface

@@ -25,7 +25,8 @@ import typer
 from koala3d.datasets.core.errors import KoalaError
 
 ROOT = Path(__file__).parents[2]
-PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")))
+PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+"""All but lab notes, whose commands, settings and names are those of their date."""
 PACKAGES = ("capture", "calib", "datasets", "reconstruct")
 
 

@@ -12,7 +12,8 @@ from koala3d.datasets import formats
 from tests.reconstruct import glossy_ball
 
 ROOT = Path(__file__).parents[2]
-PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")))
+PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+"""All but lab notes, whose commands, settings and names are those of their date."""
 FOLDERS = "configs|tests|capture|calib|datasets|reconstruct|docs"
 NAMED = re.compile(r"`([\w./-]+\.py):(\w+(?:\.\w+)?)`")
 """`path/file.py:function` or `path/file.py:Class.method`."""
