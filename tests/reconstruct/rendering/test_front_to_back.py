@@ -45,7 +45,6 @@ def some_samples(footprint: Footprint) -> Sampled:
 def some_field(space: Space, shading: str, density: float = 0.0) -> Field:
     """With such a logarithm of its density added everywhere."""
     config = small(changes={"field": {"shading": shading, "density_bias": 1.0}})
-    config = config if space.bounded else config.with_surroundings()
     made = drawn.filled(lambda: Field.create(jax.random.key(0), config.encoding, config.field))
     bias = np.array(made.spatial.biases[-1])
     bias[0] += density

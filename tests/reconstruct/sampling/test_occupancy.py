@@ -12,6 +12,7 @@ from koala3d.reconstruct.scene.facts import SceneFacts
 from koala3d.reconstruct.scene.rays import Normalisation
 from koala3d.reconstruct.scene.space import BALL, BOX
 from tests import drawn
+from tests.small import in_scene
 
 CELL = jax.jit(Occupancy.cell)
 
@@ -90,10 +91,10 @@ def test_the_outer_extent_is_a_step_in_the_scene() -> None:
 
 def test_cells_are_kept_longer_where_masks_have_ruled_out_most() -> None:
     small = ["encoding.levels=1", "encoding.log2_size=4", "field.spatial_width=4", "field.view_width=4", "sampler.grid=8"]
-    config = load_config(overrides=[*small, "sampler.optical_depth=0.05"])
     facts = lambda bounded: SceneFacts(Normalisation((0.0, 0.0, 0.0), 1.0, bounded, 0.5, 4.5))  # noqa: E731
+    config = {bounded: in_scene(load_config(overrides=small), facts(bounded)) for bounded in (True, False)}
     samplers = [
-        eqx.filter_eval_shape(lambda b=bounded: Model.create(jax.random.key(0), config, facts(b))).sampler
-        for bounded in (True, False)
+        eqx.filter_eval_shape(lambda b=bounded: Model.create(jax.random.key(0), config[b], facts(b))).sampler
+        for bounded in config
     ]
     assert [sampler.empty_below for sampler in samplers] == pytest.approx([0.005, 0.05])

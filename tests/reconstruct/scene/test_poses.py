@@ -88,6 +88,8 @@ def test_perturbed_poses_are_recovered_from_the_pictures(
         pixels = Pixels.load(views, normalisation, 1.0, shown)
     colour = np.concatenate([pictures, np.ones_like(pictures[:, :1])], -1)
     pixels = eqx.tree_at(lambda p: p.colour, pixels, jnp.asarray(colour, jnp.float16))
+    for name in ("POSE_RATE", "LAST_POSE_RATE"):  # poses move alone
+        monkeypatch.setattr(schedule, name, 0.05 / 1e-12)
     wide = {
         "sampler": {"rays": 1024, "samples": 8192, "max_per_ray": 12},
         "surface": {"enabled": False},

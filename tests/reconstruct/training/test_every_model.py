@@ -34,6 +34,7 @@ ATOL = 1e-7
 CHANGES = {
     "field": {"view_depth": 3},
     "train": {"rate": 0.003, "final_rate": 0.001, "per_image": "colour"},
+    "schedule": {"warmup": 0.02},
 }
 DEFAULT = "surfnerf, fast"
 """The case of the default model, on the glossy ball."""

@@ -134,19 +134,3 @@ def test_a_fine_tuning_begins_with_what_the_run_has_learned(
     with pytest.raises(ReconstructError, match="does not fit"):
         start(scene, folder, merged_config(tuned, {"encoding": {"levels": 5}}), tmp_path / "other", None, run)
     assert not (tmp_path / "other").exists()
-
-
-def test_a_training_stops_when_held_out_pixels_stop_improving(
-    ball_scene: tuple[Scene, Path], config: Config, tmp_path: Path
-) -> None:
-    scene, folder = ball_scene
-    training = start(scene, folder, merged_config(config, {"train": {"patience": 0.2}}), tmp_path / "run")
-    assert training.held is not None and not training.exhausted
-    size = scene.views[0].camera.width * scene.views[0].camera.height
-    assert len(training.held.directions) + training.pixels.directions.shape[0] == 4 * size, "held out, not doubled"
-    for progress, psnr in ((0.1, 20.0), (0.2, 21.0), (0.3, 21.01), (0.35, 20.5)):
-        training.run.append_log({"progress": progress, "psnr_held_out": psnr})
-        assert not training.exhausted
-    training.run.append_log({"progress": 0.4, "psnr_held_out": 21.015})
-    assert training.exhausted, "0.015 dB in a fifth of the training is not worth going on"
-    assert not start(scene, folder, config, tmp_path / "other").exhausted, "without patience nothing is held out"

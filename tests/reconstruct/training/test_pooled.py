@@ -21,7 +21,7 @@ def config(small_config: Config, monkeypatch: pytest.MonkeyPatch) -> Config:
     """A training of 40 steps from a pool of a quarter of the pixels, of which a view is renewed every 15 steps."""
     monkeypatch.setenv(pools.MOST, "2000")
     monkeypatch.setattr(rays, "WORTH_A_COPY", 1)
-    tiny = {"train": {"steps": 40, "patience": 0.9}, "sampler": {"rays": 128, "samples": 1024}, "surface": {"enabled": False}}
+    tiny = {"train": {"steps": 40}, "sampler": {"rays": 128, "samples": 1024}, "surface": {"enabled": False}}
     return merged_config(small_config, tiny)
 
 
@@ -70,7 +70,7 @@ def test_a_training_from_a_pool_repeats_and_resumes(ball_scene: tuple[Scene, Pat
 @pytest.mark.slow
 def test_a_pool_learns_what_all_pixels_teach(ball_scene: tuple[Scene, Path], config: Config, tmp_path: Path, monkeypatch) -> None:
     scene, folder = ball_scene
-    longer = merged_config(config, {"train": {"steps": 150, "patience": 0.0}})
+    longer = merged_config(config, {"train": {"steps": 150}})
     pooled = train(scene, folder, longer, tmp_path / "pooled")
     monkeypatch.delenv(pools.MOST)
     whole = train(scene, folder, longer, tmp_path / "whole")

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from koala3d.reconstruct import models
 from koala3d.reconstruct.kernels import native
 from koala3d.reconstruct.scene.facts import SceneFacts
 from koala3d.reconstruct.scene.rays import Normalisation, Pixels
@@ -63,6 +64,7 @@ def test_the_bias_at_an_object_waits_until_two_fifths_of_the_training(monkeypatc
 
 SHARDED = """
 import jax, jax.numpy as jnp, numpy as np
+from koala3d.reconstruct import models
 from koala3d.reconstruct.config import Config
 from koala3d.reconstruct.models import load_config, merged
 from koala3d.reconstruct.scene.facts import SceneFacts

@@ -21,6 +21,7 @@ from koala3d.reconstruct.training.loop import train
 from koala3d.reconstruct.training.pace import budget
 from koala3d.reconstruct.training.pace.budget import Plan
 from koala3d.reconstruct.training.pace.clock import Clock, Leg
+from koala3d.reconstruct.training.schedule import Schedule
 from koala3d.reconstruct.training.training import Training
 
 PLAIN_S, SECOND_S = 0.04, 0.12
@@ -59,7 +60,7 @@ def config(small_config: Config) -> Config:
 
 def test_second_passes_that_become_more_frequent_are_counted(config: Config) -> None:
     plan = Plan(PLAIN_S, SECOND_S, (0.0, 0, 0))
-    late, whole = (plan.step_s(config.surface, begin) for begin in (0.99, 0.0))
+    late, whole = (plan.step_s(Schedule(config), begin) for begin in (0.99, 0.0))
     assert late == pytest.approx(PLAIN_S + (SECOND_S - PLAIN_S) / 4, rel=1e-6)
     assert PLAIN_S < whole < late
 
