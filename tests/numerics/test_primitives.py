@@ -439,7 +439,7 @@ ROWS = [
     ),
     Row(
         "specular_variation",
-        lambda c, d: regularisers.specular_variation(c, regularisers.direction_likeness(d, "angular"), 3),
+        lambda c, d: regularisers.specular_variation(c, regularisers.direction_likeness(d), 3),
         (COLOURS, BALLS),
         "black to saturated, directions alike",
         2e-6,

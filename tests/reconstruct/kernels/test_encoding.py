@@ -19,13 +19,11 @@ MOST = 2**15
 """Points that the twin computes at once: it is compiled for no other number, and fewer of them are the first of these."""
 
 
-def lattice(levels: int = 3, features: int = 2, log2_size: int = 10, volume: float | None = None) -> PermutohedralLattice:
+def lattice(levels: int = 3, features: int = 2, log2_size: int = 10) -> PermutohedralLattice:
     """With values of order one."""
     create = PermutohedralLattice.create
     made = drawn.filled(
-        lambda: create(
-            jax.random.key(0), levels=levels, features=features, log2_size=log2_size, coarsest=2.0, finest=64.0, volume=volume
-        )
+        lambda: create(jax.random.key(0), levels=levels, features=features, log2_size=log2_size, coarsest=2.0, finest=64.0)
     )
     table, blur = drawn.normal(*made.table.shape, seed=2), drawn.array(0.0)
     return eqx.tree_at(lambda one: (one.table, one.blur), made, (table, blur))

@@ -27,7 +27,7 @@ print(native.why_not())
 rng = np.random.default_rng(0)
 table, points = (np.float32(rng.uniform(size=size)) for size in ((2, 8 * 4096), (3, 8192)))
 scales = tuple(np.geomspace(2, 64, 8).tolist())
-grid = PermutohedralLattice(jax.device_put(table), jax.device_put(np.float32(0)), scales, (12,) * 8)
+grid = PermutohedralLattice(jax.device_put(table), jax.device_put(np.float32(0)), scales, 12)
 def run(grid, points):
     value, back = jax.vjp(lambda g: g(points), grid)
     return value, back(value)[0].table

@@ -14,6 +14,7 @@ from koala3d.datasets.imaging import images
 from koala3d.reconstruct.output import evaluate, report
 from koala3d.reconstruct.output.trained_model import TrainedModel
 from koala3d.reconstruct.training.decisions import record
+from koala3d.reconstruct.training.decisions.skip import Skip
 
 
 def test_the_page_stands_alone_and_shows_figures_and_pictures(ball: TrainedModel, tmp_path: Path) -> None:
@@ -87,10 +88,10 @@ def test_channels_stand_beside_their_truth(ball: TrainedModel) -> None:
 def test_what_was_skipped_is_listed(ball: TrainedModel, tmp_path: Path) -> None:
     path = ball.run.path / record.SKIPS
     assert not path.exists()
-    record.write(ball.run.path, [record.Skip("distortion", True, "the lens is a pinhole", "a tenth of reading", "none: exact")])
+    record.write(ball.run.path, [Skip("contraction", "space where no camera looks", True, "one frustum", "steps")])
     try:
         report.write(ball, tmp_path / "report")
     finally:
         path.unlink()
     page = (tmp_path / "report" / "index.html").read_text()
-    assert "<td>distortion</td><td>skipped</td><td>the lens is a pinhole</td>" in page
+    assert "<td>contraction</td><td>skipped</td><td>one frustum</td>" in page and "density follows normals" in page

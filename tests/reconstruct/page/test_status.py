@@ -7,6 +7,7 @@ import numpy as np
 
 from koala3d.reconstruct.page.status import curves, skips_text, status_text
 from koala3d.reconstruct.training.decisions import record
+from koala3d.reconstruct.training.decisions.skip import Skip
 
 
 def test_the_log_is_told_in_words_and_curves(make_run: Callable[..., Any]) -> None:
@@ -24,11 +25,9 @@ def test_skips_are_listed_with_their_evidence(make_run: Callable[..., Any]) -> N
     run = make_run()
     (run.path / record.SKIPS).unlink(missing_ok=True)
     assert skips_text(run) == ""
-    fine = record.Skip("multisampling", True, "footprints are alike", "five of six places", "up to 0.4 dB")
-    reflection = record.Skip("reflection", False, "5% of the object keeps its colour", "half a step", "nothing")
-    record.write(run.path, [fine, reflection])
+    empty = Skip("empty_rays", "empty space", True, "masks rule out 80% of the space", "samples in there")
+    reflection = Skip("reflection", "reflections of a matte object", False, "5% of the object keeps its colour", "half a step")
+    record.write(run.path, [empty, reflection])
     words = skips_text(run)
-    assert words.startswith("- **several samples at one place** skipped: footprints are alike")
-    assert "cost: up to 0.4 dB" in words and words.endswith(
-        "- reflections of a matte object kept: 5% of the object keeps its colour"
-    )
+    assert words.startswith("- **empty space** skipped: masks rule out 80% of the space") and "saves samples in there" in words
+    assert words.endswith("- reflections of a matte object kept: 5% of the object keeps its colour")

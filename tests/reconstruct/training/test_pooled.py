@@ -40,7 +40,6 @@ def test_each_chunk_draws_from_the_pool_of_its_step(ball_scene: tuple[Scene, Pat
 
     training.advance, training.keep_up = advance, lambda state, seed: state
     assert training.pool is not None and training.pool.period == 16 and len(training.pixels.view) == 2000
-    assert training.held is not None and len(training.held.view) == 76, "a hundredth"
     while training.clock.step < 40:
         training.chunk()
     changed = [(before != after).reshape(4, -1).any(-1).sum() for before, after in pairwise(seen)]
@@ -61,7 +60,7 @@ def test_a_training_from_a_pool_repeats_and_resumes(ball_scene: tuple[Scene, Pat
     broken.save()
     train(scene, folder, config, tmp_path / "runs" / "broken", resume=True)
     first, resumed = (said(tmp_path / "runs" / name)[-1] for name in ("first", "broken"))
-    assert first == resumed and {"psnr_held_out", "psnr_unseen"} <= first.keys()
+    assert first == resumed and "psnr_unseen" in first
     assert {file.name: file.stat().st_mtime_ns for file in (tmp_path / "runs" / PICTURES).iterdir()} == {
         file.name: file.stat().st_mtime_ns for file in kept
     }
