@@ -40,7 +40,7 @@ from tests.reconstruct import glossy_ball
 from tests.small import Trainable
 from tests.unoptimised import unoptimised as unoptimised
 
-SHIPPED = ("training", "kernels", "experiments")
+SHIPPED = ("training", "kernels", "rendered", "experiments")
 """Folders whose programs are compiled as they ship, with optimisation."""
 CAMERA = Camera(48, 40, 70.0, 70.0, 24.0, 20.0)
 CENTRE, RADIUS = np.array([0.4, 0.0, 0.15]), 0.08

@@ -54,7 +54,7 @@ def write_run(job: Job, psnr: float = 20.0) -> None:
     normalisation = {"centre": [0.0, 0.0, 0.0], "scale": 1.0, "bounded": True, "near": 0.1, "far": 2.0}
     run = {"format": "koala-run", "version": 1, "scene": recipe.scene, "scene_name": Path(recipe.scene).name,
            "budget_s": recipe.budget_s, "config": recipe.config(job.changes).model_dump(mode="json"),
-           "normalisation": normalisation}  # fmt: skip
+           "facts": {"normalisation": normalisation}}  # fmt: skip
     (path / "run.json").write_text(json.dumps(run))
     mean = {"psnr": psnr, "normal_mae_alpha_acc_deg": 50.0 - psnr}
     metrics = {"format": "koala-metrics", "version": 1, "mean": mean, "per_view": []}
