@@ -132,7 +132,7 @@ def test_the_plan_trains_nothing(scene: str, tmp_path: Path) -> None:
     said = invoke(
         "sweep", "--scene", scene, "--try", "sampling random", "--seed", 0, "--seed", 1, "--plan", "--out", tmp_path / "none"
     )
-    assert "ball/surfnerf/sampling_random/seed_0   surface.sampling=random\n" in said.stdout
+    assert "ball/surfnerf/sampling_random/seed_0  surface.sampling=random\n" in said.stdout
     assert said.stdout.splitlines()[-1] == "4 trainings" and not (tmp_path / "none").exists()
 
 
