@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.capture.errors import RigConnectionError
-from koala3d.capture.kinematics import pose_from_six
-from koala3d.capture.robots.dashboard import Dashboard
-from koala3d.capture.robots.primary import Primary, listen
-from koala3d.capture.robots.rtde.stream import RtdeStream
+from koala3d.capture.drivers.errors import RigConnectionError
+from koala3d.capture.drivers.ur.dashboard import Dashboard
+from koala3d.capture.drivers.ur.primary import Primary, listen
+from koala3d.capture.drivers.ur.rtde.stream import RtdeStream
+from koala3d.capture.model.kinematics import pose_from_six
 from koala3d.datasets import pose
 
 QUESTIONS = ("PolyscopeVersion", "get serial number", "is in remote control", "programState", "safetystatus", "robotmode")

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from koala3d.capture.arms.model import identify, load_arm
 from koala3d.capture.doctor.answers import Answers
 from koala3d.capture.doctor.lines import Line, compared, judged, ok, unknown, wrong
-from koala3d.capture.rig.description import RobotDescription
+from koala3d.capture.model.arm import identify, load_arm
+from koala3d.capture.model.rig import RobotDescription
 from koala3d.datasets import pose
 from koala3d.datasets.kinematics import forward
 

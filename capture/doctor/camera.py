@@ -2,11 +2,11 @@
 
 from collections.abc import Callable
 
-from koala3d.capture.cameras.nodes import Nodes, first
-from koala3d.capture.cameras.start_state import load_default, set_colour_space, set_plain
 from koala3d.capture.doctor.lines import Line, compared, judged, ok, unknown, wrong
-from koala3d.capture.errors import CaptureError
-from koala3d.capture.rig.description import CameraDescription
+from koala3d.capture.drivers.cameras.nodes import Nodes, first
+from koala3d.capture.drivers.cameras.start_state import load_default, set_colour_space, set_plain
+from koala3d.capture.drivers.errors import CaptureError
+from koala3d.capture.model.rig import CameraDescription
 
 SLOWEST = 1.1e8  # a link below this is USB 2 (60 MB/s) or a network below 1 Gbit/s [bytes/s]
 WARMEST_C = 80.0  # of the electronics; their noise doubles every 6 to 8 degrees

@@ -7,14 +7,14 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from koala3d.capture.cameras.nodes import Nodes
 from koala3d.capture.doctor import arm, camera, computer, other_camera, pendant, safety
 from koala3d.capture.doctor.answers import Answers, ask
 from koala3d.capture.doctor.lines import Line, Verdict, ok, unknown, wrong
-from koala3d.capture.errors import CaptureError, NotReady
+from koala3d.capture.drivers.cameras.nodes import Nodes
+from koala3d.capture.drivers.errors import CaptureError, NotReady
+from koala3d.capture.drivers.ur.timing import Deadlines
+from koala3d.capture.model.rig import RigDescription
 from koala3d.capture.rig.cameras import Seen
-from koala3d.capture.rig.description import RigDescription
-from koala3d.capture.robots.timing import Deadlines
 from koala3d.capture.sim.camera_nodes import SimulatedNodes
 
 log = logging.getLogger(__name__)

@@ -2,10 +2,10 @@
 
 from collections.abc import Mapping
 
-from koala3d.capture.cameras.nodes import Nodes, put_all
 from koala3d.capture.doctor.camera import NAMES, WARMEST_C, tried
 from koala3d.capture.doctor.lines import Line, compared, judged, ok, unknown
-from koala3d.capture.rig.description import CameraDescription
+from koala3d.capture.drivers.cameras.nodes import Nodes, put_all
+from koala3d.capture.model.rig import CameraDescription
 
 DEGREES = ("depth.asic_temperature", "TEMPERATURE")
 USB3 = "3"
@@ -50,7 +50,7 @@ def _temperature(nodes: Nodes) -> Line:
 def _start_state(nodes: Nodes, stated: CameraDescription) -> Line:
     if stated.model != "realsense":
         return unknown(NAMES[4], f"{stated.model} has no command for them", "reset it by its menus or its maker's software")
-    from koala3d.capture.cameras.realsense import OptionNodes, set_start_state
+    from koala3d.capture.drivers.cameras.realsense import OptionNodes, set_start_state
 
     def load() -> None:
         assert isinstance(nodes, OptionNodes)

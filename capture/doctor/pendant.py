@@ -6,8 +6,8 @@ import numpy as np
 
 from koala3d.capture.doctor.answers import Answers
 from koala3d.capture.doctor.lines import Line, judged, ok, unknown, wrong
-from koala3d.capture.rig.description import InstallationDescription
-from koala3d.capture.robots.stand_in import program_state
+from koala3d.capture.drivers.ur.stand_in import program_state
+from koala3d.capture.model.rig import InstallationDescription
 
 POLYSCOPE_X = 10
 """Its first major version."""

@@ -2,7 +2,7 @@
 
 from koala3d.capture.doctor.answers import Answers
 from koala3d.capture.doctor.lines import Line, compared, judged, ok, unknown, wrong
-from koala3d.capture.rig.description import InstallationDescription
+from koala3d.capture.model.rig import InstallationDescription
 
 NORMAL, REDUCED, PROTECTIVE, RECOVERY, SAFEGUARD, SYSTEM_STOP, ROBOT_STOP, VIOLATION, FAULT = range(1, 10)
 STOPS = {

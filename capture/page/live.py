@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.capture.arms.carrier import Mount
+from koala3d.capture.model.carrier import Mount
 from koala3d.capture.page.session import CaptureView
 from koala3d.capture.page.timeline import of_recording
 from koala3d.capture.recording.focus import sharpness

@@ -11,10 +11,10 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from koala3d.capture.arms.carrier import Mount
+from koala3d.capture.model.carrier import Mount
+from koala3d.capture.model.trajectory import Trajectory
 from koala3d.capture.page.timeline import Stop, Timeline
 from koala3d.capture.planning import Obstacles
-from koala3d.capture.trajectory import Trajectory
 from koala3d.datasets import pose
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core.errors import KoalaError

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.capture.arms.carrier import Mount, carrier_of
-from koala3d.capture.errors import UnreachableError
+from koala3d.capture.drivers.errors import UnreachableError
+from koala3d.capture.model.carrier import Mount, carrier_of
+from koala3d.capture.model.trajectory import Trajectory, recorded_trajectory
 from koala3d.capture.planning import PlannedView, arrivals, blocked, duration, move_duration, plan
-from koala3d.capture.trajectory import Trajectory, recorded_trajectory
 from koala3d.datasets.recording import Recording, chosen_views
 
 WAIT_S = 1.0  # longest pause of the arm in the playback of a recording, in addition to settling

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from koala3d.capture.arms.carrier import Carrier, Mount, carrier_of
-from koala3d.capture.arms.parts import Shape
-from koala3d.capture.shapes.distances import box_distance, segment_distance, sight_distance
-from koala3d.capture.trajectory import Trajectory
-from koala3d.capture.turntables.description import required
+from koala3d.capture.model.carrier import Carrier, Mount, carrier_of
+from koala3d.capture.model.distances import box_distance, segment_distance, sight_distance
+from koala3d.capture.model.parts import Shape
+from koala3d.capture.model.trajectory import Trajectory
+from koala3d.capture.model.turntable import required
 
 Array = NDArray[np.float64]
 

@@ -5,15 +5,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from koala3d.capture.arms.carrier import Mount, carrier_of
-from koala3d.capture.errors import PlanningError, UnreachableError
+from koala3d.capture.drivers.errors import PlanningError, UnreachableError
+from koala3d.capture.model.carrier import Mount, carrier_of
+from koala3d.capture.model.trajectory import Trajectory
+from koala3d.capture.model.viewpoints import Viewpoint
 from koala3d.capture.planning.obstacles import Obstacles
 from koala3d.capture.planning.order import short_order
 from koala3d.capture.planning.paths import find_path
 from koala3d.capture.planning.sequence import shortest
 from koala3d.capture.planning.solutions import Joints, Solutions, solve
-from koala3d.capture.trajectory import Trajectory
-from koala3d.capture.viewpoints import Viewpoint
 
 SHOWN = 5  # views that an error lists with their reasons
 

@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.capture import kinematics
-from koala3d.capture.arms.carrier import Carrier, Mount, carrier_of
+from koala3d.capture.model import kinematics
+from koala3d.capture.model.carrier import Carrier, Mount, carrier_of
+from koala3d.capture.model.viewpoints import Viewpoint
 from koala3d.capture.planning.obstacles import Obstacles
-from koala3d.capture.viewpoints import Viewpoint
 from koala3d.datasets import pose
 
 Joints = NDArray[np.float64]

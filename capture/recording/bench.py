@@ -13,19 +13,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.capture.cameras.basler import Basler
+from koala3d.capture.drivers.cameras.basler import Basler
+from koala3d.capture.drivers.ur.robot import UniversalRobot
+from koala3d.capture.drivers.ur.settling import Settling
+from koala3d.capture.drivers.ur.timing import Deadlines
+from koala3d.capture.model.rig import RigDescription
+from koala3d.capture.model.trajectory import load_trajectory
 from koala3d.capture.planning import plan
 from koala3d.capture.recording.focus import sharpness
 from koala3d.capture.recording.recorder import record
-from koala3d.capture.rig.description import RigDescription
 from koala3d.capture.rig.opening import Rig
-from koala3d.capture.robots.settling import Settling
-from koala3d.capture.robots.timing import Deadlines
-from koala3d.capture.robots.ur import UniversalRobot
 from koala3d.capture.sim.camera import SimulatedCamera
 from koala3d.capture.sim.controller.process import SimulatedController
 from koala3d.capture.sim.truth import RigTruth
-from koala3d.capture.trajectory import load_trajectory
 from koala3d.datasets import pose
 from koala3d.datasets.recording import Frame
 

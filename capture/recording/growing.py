@@ -12,11 +12,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from koala3d.capture.model.trajectory import Trajectory, recorded_trajectory
+from koala3d.capture.model.viewpoints import JointViews
 from koala3d.capture.planning import Obstacles, PlannedView, connect
 from koala3d.capture.recording.recorder import record
 from koala3d.capture.rig.opening import Rig
-from koala3d.capture.trajectory import Trajectory, recorded_trajectory
-from koala3d.capture.viewpoints import JointViews
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.recording import MANIFEST, Recording

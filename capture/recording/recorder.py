@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from koala3d.capture.errors import CaptureError, MotionError, naming
-from koala3d.capture.measurements import Image, Pixels, RobotState
+from koala3d.capture.drivers.errors import CaptureError, MotionError, naming
+from koala3d.capture.drivers.measurements import Image, Pixels, RobotState
+from koala3d.capture.model.trajectory import CameraSettings, Motion, Trajectory
 from koala3d.capture.planning import Obstacles, PlannedView, connect, plan
 from koala3d.capture.recording.manifest import manifest_of, require_same_session
 from koala3d.capture.recording.writer import Advance, Stop, Writer
 from koala3d.capture.rig.opening import Rig
-from koala3d.capture.trajectory import CameraSettings, Motion, Trajectory
 from koala3d.datasets.core import arrays, files
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.core.space import require_room

@@ -7,7 +7,7 @@ from dataclasses import replace
 from types import TracebackType
 from typing import Self
 
-from koala3d.capture.measurements import Image
+from koala3d.capture.drivers.measurements import Image
 from koala3d.datasets.core import files
 from koala3d.datasets.imaging import images
 from koala3d.datasets.radiometry.stored import RAW_FOLDER, packed

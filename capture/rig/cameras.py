@@ -5,10 +5,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from koala3d.capture.cameras.device import Device
-from koala3d.capture.cameras.nodes import Nodes
-from koala3d.capture.rig.protocols import Camera
-from koala3d.capture.trajectory import CameraSettings
+from koala3d.capture.drivers.cameras.nodes import Nodes
+from koala3d.capture.drivers.protocols import Camera
+from koala3d.capture.model.device import Device
+from koala3d.capture.model.trajectory import CameraSettings
 
 if TYPE_CHECKING:
     from koala3d.capture.sim.realsense_device import SoftwareRealSense
@@ -17,22 +17,22 @@ if TYPE_CHECKING:
 def camera_of(device: Device, settings: CameraSettings) -> Camera:
     """The driver of a real camera with the settings of a trajectory; entering it connects."""
     if device.model == "genicam":
-        from koala3d.capture.cameras.gentl import GenTlCamera
+        from koala3d.capture.drivers.cameras.gentl import GenTlCamera
 
         return GenTlCamera(settings, device)
     if device.model == "opencv":
-        from koala3d.capture.cameras.opencv import OpenCvCamera
+        from koala3d.capture.drivers.cameras.opencv import OpenCvCamera
 
         return OpenCvCamera(settings, device)
     if device.model == "realsense":
-        from koala3d.capture.cameras.realsense import RealSense
+        from koala3d.capture.drivers.cameras.realsense import RealSense
 
         return RealSense(settings, device)
     if device.model == "gphoto2":
-        from koala3d.capture.cameras.gphoto import GphotoCamera
+        from koala3d.capture.drivers.cameras.gphoto import GphotoCamera
 
         return GphotoCamera(settings, device)
-    from koala3d.capture.cameras.basler import Basler
+    from koala3d.capture.drivers.cameras.basler import Basler
 
     return Basler(settings, serial=device.serial, own=device.settings)
 
@@ -57,29 +57,29 @@ def seen(device: Device, *, simulated: bool = False, number: int = 0) -> Iterato
     Raises RigConnectionError: there is none, or several and no serial number, or another program uses it.
     """
     if device.model == "realsense":
-        from koala3d.capture.cameras import realsense
+        from koala3d.capture.drivers.cameras import realsense
 
         emulation = _emulation() if simulated else None
         asked = device.model_copy(update={"serial": ""}) if simulated else device
         with realsense.opened(asked, emulation=emulation) as (nodes, serial, said):
             yield Seen(nodes, serial, {"firmware": said["firmware_version"], "link": said["usb_type_descriptor"]})
     elif simulated or device.model == "basler":
-        from koala3d.capture.cameras import basler
+        from koala3d.capture.drivers.cameras import basler
 
         with basler.opened(basler.serial_of(number) if simulated else device.serial, emulated=simulated) as (pylon, serial):
             yield Seen(pylon, serial)
     elif device.model == "genicam":
-        from koala3d.capture.cameras import gentl
+        from koala3d.capture.drivers.cameras import gentl
 
         with gentl.opened(device) as (found, serial):
             yield Seen(found, serial)
     elif device.model == "opencv":
-        from koala3d.capture.cameras import opencv
+        from koala3d.capture.drivers.cameras import opencv
 
         with opencv.opened(device) as (properties, serial):
             yield Seen(properties, serial)
     else:
-        from koala3d.capture.cameras import gphoto
+        from koala3d.capture.drivers.cameras import gphoto
 
         with gphoto.opened(device) as (words, serial):
             yield Seen(words, serial, {"firmware": str(words.read("deviceversion"))})

@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from koala3d.capture.errors import CaptureError
-from koala3d.capture.rig.protocols import Camera, Image
-from koala3d.capture.trajectory import CameraSettings
+from koala3d.capture.drivers.errors import CaptureError
+from koala3d.capture.drivers.protocols import Camera, Image
+from koala3d.capture.model.trajectory import CameraSettings
 from koala3d.datasets.camera_model import Camera as Intrinsics
 from koala3d.datasets.core.errors import KoalaError
 from koala3d.datasets.imaging.region import Region

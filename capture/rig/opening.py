@@ -10,19 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koala3d import configs
-from koala3d.capture.arms.carrier import Carrier
-from koala3d.capture.errors import naming
-from koala3d.capture.rig.description import RigDescription, load_rig
-from koala3d.capture.rig.protocols import Camera, GroundTruth, Robot, Turntable
-from koala3d.capture.rig.turning import open_turntable, simulated_turntable
-from koala3d.capture.trajectory import Trajectory
-from koala3d.capture.turntables.description import required
+from koala3d.capture.drivers.errors import naming
+from koala3d.capture.drivers.protocols import Camera, GroundTruth, Robot, Turntable
+from koala3d.capture.model.carrier import Carrier
+from koala3d.capture.model.rig import RigDescription, load_rig
+from koala3d.capture.model.trajectory import Trajectory
+from koala3d.capture.model.turntable import required
+from koala3d.capture.rig.turntable import open_turntable, simulated_turntable
 from koala3d.datasets.core.errors import UsageError
 
 if TYPE_CHECKING:
+    from koala3d.capture.model.flaws import Flaws
     from koala3d.capture.sim.controller.handle import ControllerHandle
     from koala3d.capture.sim.kinematic_arm import KinematicArm
-    from koala3d.capture.sim.laboratory.flaws import Flaws
     from koala3d.capture.sim.turntable import SimulatedTurntable
 
     Simulation = ControllerHandle | KinematicArm  # both know where the flange truly is
@@ -93,7 +93,7 @@ def is_started(name: str, description: RigDescription) -> bool:
 
 def flaws_of(description: RigDescription) -> "Flaws":
     """Flaws of a rig's simulated camera; none where the description has no simulation."""
-    from koala3d.capture.sim.laboratory.flaws import Flaws
+    from koala3d.capture.model.flaws import Flaws
 
     return Flaws() if description.simulation is None else description.simulation.flaws
 
@@ -277,10 +277,10 @@ def controller_of(
 
 
 def _arm(description: RigDescription, trajectory: Trajectory, controller: "Simulation | None", take_over: bool = False) -> Robot:
-    from koala3d.capture.robots.settling import Settling
-    from koala3d.capture.robots.timing import Deadlines
-    from koala3d.capture.robots.ur import UniversalRobot
-    from koala3d.capture.safety import Limits
+    from koala3d.capture.drivers.safety import Limits
+    from koala3d.capture.drivers.ur.robot import UniversalRobot
+    from koala3d.capture.drivers.ur.settling import Settling
+    from koala3d.capture.drivers.ur.timing import Deadlines
     from koala3d.capture.sim.kinematic_arm import KinematicArm
 
     motion, robot, arm = trajectory.motion, description.robot, description.arm

@@ -11,12 +11,12 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.capture.cameras.basler import Basler, serial_of
-from koala3d.capture.cameras.device import Device
-from koala3d.capture.errors import CaptureError
-from koala3d.capture.measurements import Image, Pixels
+from koala3d.capture.drivers.cameras.basler import Basler, serial_of
+from koala3d.capture.drivers.errors import CaptureError
+from koala3d.capture.drivers.measurements import Image, Pixels
+from koala3d.capture.model.device import Device
+from koala3d.capture.model.trajectory import CameraSettings
 from koala3d.capture.sim.realsense_device import BASELINE_M, UNIT_M, SoftwareRealSense
-from koala3d.capture.trajectory import CameraSettings
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.imaging import images
 from koala3d.datasets.imaging.region import Region
@@ -52,10 +52,10 @@ class Emulated(Protocol):
         ...
 
     def set_exposure(self, exposure_us: float) -> None:
-        """See `capture.rig.protocols.Camera`."""
+        """See `capture.drivers.protocols.Camera`."""
 
     def description(self) -> dict[str, Any]:
-        """See `capture.rig.protocols.Camera`."""
+        """See `capture.drivers.protocols.Camera`."""
         ...
 
 
@@ -117,7 +117,7 @@ class EmulatedRealSense:
     """librealsense's software device. It sends only during an exposure, so that rendering has the processor for itself."""
 
     def __init__(self, settings: CameraSettings, device: Device, sensor_camera: Camera) -> None:
-        from koala3d.capture.cameras.realsense import RealSense
+        from koala3d.capture.drivers.cameras.realsense import RealSense
 
         self._settings, self._device = settings, device
         self._source = SoftwareRealSense(sensor_camera)

@@ -10,11 +10,11 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.capture.arms.model import ArmModel
-from koala3d.capture.errors import MotionError, RigConnectionError, StopLatched
-from koala3d.capture.measurements import RobotState
-from koala3d.capture.robots.settling import Settling, Window
-from koala3d.capture.safety import Limits
+from koala3d.capture.drivers.errors import MotionError, RigConnectionError, StopLatched
+from koala3d.capture.drivers.measurements import RobotState
+from koala3d.capture.drivers.safety import Limits
+from koala3d.capture.drivers.ur.settling import Settling, Window
+from koala3d.capture.model.arm import ArmModel
 from koala3d.capture.sim.controller.arm import Arm
 
 Array = NDArray[np.float64]
@@ -23,7 +23,7 @@ DECELERATION = 3.0  # of the fastest joint after `stop` [rad/s^2]
 
 
 class KinematicArm:
-    """Implements `capture.rig.protocols.Robot`, and what a simulated camera needs.
+    """Implements `capture.drivers.protocols.Robot`, and what a simulated camera needs.
 
     Args:
         model: which arm it is.

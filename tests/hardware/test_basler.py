@@ -9,9 +9,9 @@ import time
 import numpy as np
 import pytest
 
-from koala3d.capture.cameras.basler import Basler
-from koala3d.capture.errors import CaptureError
-from koala3d.capture.trajectory import CameraSettings
+from koala3d.capture.drivers.cameras.basler import Basler
+from koala3d.capture.drivers.errors import CaptureError
+from koala3d.capture.model.trajectory import CameraSettings
 
 pytestmark = pytest.mark.hardware
 SETTINGS = CameraSettings(width=640, height=480, exposure_us=5000, gain_db=0)

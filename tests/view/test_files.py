@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
+from koala3d.capture.model.rig import RigDescription
+from koala3d.capture.model.trajectory import load_trajectory
 from koala3d.capture.page import report as recording_report
 from koala3d.capture.planning import Obstacles, draw, plan
-from koala3d.capture.rig.description import RigDescription
-from koala3d.capture.trajectory import load_trajectory
 from koala3d.datasets.calibration import Calibration
 from koala3d.datasets.formats import koala
 from koala3d.datasets.reports import scene as scene_report

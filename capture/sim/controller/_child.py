@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from koala3d.capture.arms.model import load_arm
+from koala3d.capture.model.arm import load_arm
 from koala3d.capture.sim.controller import primary, side_channel
 from koala3d.capture.sim.controller.arm import Arm
 from koala3d.capture.sim.controller.installation import Installation

@@ -10,8 +10,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.capture.arms.model import DEFAULT, ArmModel, load_arm
-from koala3d.capture.kinematics import Links, forward
+from koala3d.capture.model.arm import DEFAULT, ArmModel, load_arm
+from koala3d.capture.model.kinematics import Links, forward
 from koala3d.capture.sim.controller.profiles import Chain, Joints, Move, Profile, Stop
 from koala3d.capture.sim.controller.tempo import Tempo
 from koala3d.datasets import pose

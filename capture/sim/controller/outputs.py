@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from koala3d.capture.kinematics import forward, link_frames
-from koala3d.capture.robots.rtde import wire
+from koala3d.capture.drivers.ur.rtde import wire
+from koala3d.capture.model.kinematics import forward, link_frames
 from koala3d.capture.sim.controller.arm import RobotMode, Safety
 from koala3d.capture.sim.controller.profiles import Joints
 

@@ -3,9 +3,9 @@
 import asyncio
 import struct
 
-from koala3d.capture.kinematics import six_from_pose
-from koala3d.capture.robots import primary
-from koala3d.capture.robots.primary import package
+from koala3d.capture.drivers.ur import primary
+from koala3d.capture.drivers.ur.primary import package
+from koala3d.capture.model.kinematics import six_from_pose
 from koala3d.capture.sim.controller.server import ControllerServer, closing
 
 PORTS = (30001, 30002)

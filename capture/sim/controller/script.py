@@ -12,8 +12,8 @@ from collections.abc import Callable, Generator
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.capture import kinematics
-from koala3d.capture.kinematics import Joints, pose_from_six, six_from_pose
+from koala3d.capture.model import kinematics
+from koala3d.capture.model.kinematics import Joints, pose_from_six, six_from_pose
 from koala3d.capture.sim.controller.arm import Arm, Safety
 from koala3d.datasets import pose
 

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from koala3d.capture.kinematics import six_from_pose
-from koala3d.capture.robots.rtde import wire
+from koala3d.capture.drivers.ur.rtde import wire
+from koala3d.capture.model.kinematics import six_from_pose
 from koala3d.capture.sim.controller import dashboard, script
 from koala3d.capture.sim.controller.arm import Arm
 from koala3d.capture.sim.controller.installation import Installation

@@ -4,8 +4,8 @@ import asyncio
 import struct
 from typing import TYPE_CHECKING
 
-from koala3d.capture.robots.rtde import wire
-from koala3d.capture.robots.rtde.wire import Recipe, packet
+from koala3d.capture.drivers.ur.rtde import wire
+from koala3d.capture.drivers.ur.rtde.wire import Recipe, packet
 
 if TYPE_CHECKING:
     from koala3d.capture.sim.controller.outputs import Outputs

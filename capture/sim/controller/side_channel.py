@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from koala3d.capture.arms.model import load_arm
-from koala3d.capture.kinematics import JOINT_LIMIT, pose_from_six
+from koala3d.capture.model.arm import load_arm
+from koala3d.capture.model.kinematics import JOINT_LIMIT, pose_from_six
 from koala3d.capture.sim.controller.arm import RobotMode, Safety
 from koala3d.capture.sim.controller.installation import Installation
 from koala3d.capture.sim.controller.server import ControllerServer, closing

@@ -9,7 +9,7 @@ import numpy as np
 import trimesh
 from numpy.typing import ArrayLike, NDArray
 
-from koala3d.capture.errors import SimulationError
+from koala3d.capture.drivers.errors import SimulationError
 from koala3d.capture.sim.laboratory import objects, textures
 from koala3d.capture.sim.laboratory.materials import Glass, Material, Matt, Metal
 from koala3d.datasets.core.errors import UsageError, nearest

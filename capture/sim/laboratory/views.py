@@ -11,11 +11,11 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.capture.errors import SimulationError
+from koala3d.capture.drivers.errors import SimulationError
+from koala3d.capture.model.trajectory import Trajectory
 from koala3d.capture.sim.laboratory.board import BoardPicture
 from koala3d.capture.sim.laboratory.lens import Lens, strips
 from koala3d.capture.sim.laboratory.scenes import CARDS, Stage, check_name, stage
-from koala3d.capture.trajectory import Trajectory
 from koala3d.datasets import pose
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core.errors import UsageError

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from koala3d.capture.cameras.basler import opened
 from koala3d.capture.doctor.examine import examine_arm, examine_camera, refuse_wrong
 from koala3d.capture.doctor.lines import Line, Verdict
-from koala3d.capture.errors import NotReady
-from koala3d.capture.rig.description import RigDescription
+from koala3d.capture.drivers.cameras.basler import opened
+from koala3d.capture.drivers.errors import NotReady
+from koala3d.capture.model.rig import RigDescription
 from koala3d.capture.sim.camera_nodes import FAMILIES, Setting, SimulatedNodes
 from koala3d.capture.sim.controller.process import SimulatedController
 

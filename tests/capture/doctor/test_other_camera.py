@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from koala3d.capture.cameras.device import Device
 from koala3d.capture.doctor.examine import examine
 from koala3d.capture.doctor.lines import Verdict
 from koala3d.capture.doctor.other_camera import check
+from koala3d.capture.model.device import Device
+from koala3d.capture.model.rig import CameraDescription, RigDescription
 from koala3d.capture.rig.cameras import seen
-from koala3d.capture.rig.description import CameraDescription, RigDescription
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.imaging import images
 
@@ -29,7 +29,7 @@ SENSOR = Camera(1920, 1080, 1380.0, 1380.0, 960.0, 540.0)
 )
 def test_what_is_wrong_with_a_realsense_is_named_and_nothing_else(usb, stated, wrong):
     pytest.importorskip("pyrealsense2", exc_type=ImportError)  # or its libusb is absent
-    from koala3d.capture.cameras.realsense import opened
+    from koala3d.capture.drivers.cameras.realsense import opened
     from koala3d.capture.sim.realsense_device import SoftwareRealSense
 
     description = CameraDescription.model_validate({"model": "realsense", "depth": {}, **stated})

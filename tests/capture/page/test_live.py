@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from koala3d.capture.model.rig import RigDescription, recorded_rig
+from koala3d.capture.model.trajectory import Trajectory
 from koala3d.capture.page.live import TALL, LiveView, with_histogram
 from koala3d.capture.page.session import CaptureView
 from koala3d.capture.page.timeline import of_planned
 from koala3d.capture.page.view import show, watch
 from koala3d.capture.planning import PlannedView, plan
-from koala3d.capture.rig.description import RigDescription, recorded_rig
-from koala3d.capture.trajectory import Trajectory
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.imaging import images
 from koala3d.datasets.page import open_page

@@ -3,15 +3,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from koala3d.capture.arms.model import load_arm
-from koala3d.capture.look.analysis import Part
-from koala3d.capture.look.jog import Jog
+from koala3d.capture.model.arm import load_arm
+from koala3d.capture.model.rig import RigDescription
+from koala3d.capture.model.trajectory import load_trajectory
 from koala3d.capture.page.look import AROUND, LookPage, framed
 from koala3d.capture.page.overlay import FRAME, PEAK, peaks, shown
-from koala3d.capture.rig.description import RigDescription
 from koala3d.capture.rig.opening import open_camera
+from koala3d.capture.sessions.live.analysis import Part
+from koala3d.capture.sessions.live.jog import Jog
 from koala3d.capture.sim.kinematic_arm import KinematicArm
-from koala3d.capture.trajectory import load_trajectory
 from koala3d.datasets.page import open_page
 from tests.browser import Browse
 

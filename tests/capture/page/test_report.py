@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from koala3d.capture.model.trajectory import load_trajectory
 from koala3d.capture.page import report
-from koala3d.capture.trajectory import load_trajectory
 from koala3d.datasets import pose
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import UsageError

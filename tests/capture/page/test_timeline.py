@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from koala3d.capture import kinematics
+from koala3d.capture.model import kinematics
+from koala3d.capture.model.rig import RigDescription
+from koala3d.capture.model.trajectory import Trajectory, load_trajectory
 from koala3d.capture.page.timeline import WAIT_S, of_recording, of_trajectory
 from koala3d.capture.planning import duration, move_duration, plan
-from koala3d.capture.rig.description import RigDescription
-from koala3d.capture.trajectory import Trajectory, load_trajectory
 from koala3d.datasets.recording import Frame, Recording
 
 MOUNT = RigDescription().flange_from_camera.matrix()

@@ -4,10 +4,10 @@ import re
 import numpy as np
 import pytest
 
-from koala3d.capture.kinematics import forward
+from koala3d.capture.model.kinematics import forward
+from koala3d.capture.model.rig import RigDescription
+from koala3d.capture.model.trajectory import load_trajectory
 from koala3d.capture.planning import Obstacles, draw, plan
-from koala3d.capture.rig.description import RigDescription
-from koala3d.capture.trajectory import load_trajectory
 from koala3d.datasets.imaging import images
 
 MOUNT = RigDescription().flange_from_camera.matrix()

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from koala3d.capture.arms.carrier import carrier_of
-from koala3d.capture.kinematics import forward
+from koala3d.capture.model.carrier import carrier_of
+from koala3d.capture.model.distances import box_distance, segment_distance, sight_distance
+from koala3d.capture.model.kinematics import forward
+from koala3d.capture.model.trajectory import load_trajectory
 from koala3d.capture.planning.obstacles import Obstacles
-from koala3d.capture.shapes.distances import box_distance, segment_distance, sight_distance
-from koala3d.capture.trajectory import load_trajectory
 from koala3d.datasets import pose
 
 MOUNT = pose.from_rotation_vector([np.radians(45), 0, 0], [0, 0.06, 0.08])

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from koala3d.capture.errors import PlanningError, UnreachableError
-from koala3d.capture.geometry import Box
-from koala3d.capture.kinematics import JOINT_LIMIT, forward
+from koala3d.capture.drivers.errors import PlanningError, UnreachableError
+from koala3d.capture.model.geometry import Box
+from koala3d.capture.model.kinematics import JOINT_LIMIT, forward
+from koala3d.capture.model.rig import RigDescription
+from koala3d.capture.model.trajectory import Trajectory, load_trajectory
+from koala3d.capture.model.viewpoints import HemisphereViews, JointViews
 from koala3d.capture.planning import Obstacles, connect, plan
-from koala3d.capture.rig.description import RigDescription
-from koala3d.capture.trajectory import Trajectory, load_trajectory
-from koala3d.capture.viewpoints import HemisphereViews, JointViews
 from koala3d.datasets import pose
 
 MOUNT = RigDescription().flange_from_camera.matrix()

@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 
-from koala3d.capture.arms.model import load_arm
+from koala3d.capture.model.arm import load_arm
 from koala3d.capture.planning.obstacles import Obstacles
 from koala3d.capture.planning.paths import is_free
 from koala3d.capture.planning.sequence import DETOUR, shortest

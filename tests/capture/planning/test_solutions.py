@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from koala3d.capture import kinematics
-from koala3d.capture.kinematics import JOINT_LIMIT, forward
+from koala3d.capture.model import kinematics
+from koala3d.capture.model.kinematics import JOINT_LIMIT, forward
+from koala3d.capture.model.viewpoints import Viewpoint
 from koala3d.capture.planning.obstacles import Obstacles
 from koala3d.capture.planning.solutions import MIN_SINGULARITY, solve
-from koala3d.capture.viewpoints import Viewpoint
 from koala3d.datasets import pose
 
 MOUNT = pose.from_rotation_vector([np.radians(45), 0, 0], [0, 0.06, 0.08])

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, uniform_filter1d
 
+from koala3d.capture.model.trajectory import load_trajectory
 from koala3d.capture.recording.check import check, to_take_again
-from koala3d.capture.trajectory import load_trajectory
 from koala3d.datasets import pose
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import KoalaError

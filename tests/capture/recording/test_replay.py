@@ -1,13 +1,13 @@
 import numpy as np
 import pytest
 
-from koala3d.capture import kinematics
-from koala3d.capture.errors import CaptureError
-from koala3d.capture.measurements import RobotState
+from koala3d.capture.drivers.errors import CaptureError
+from koala3d.capture.drivers.measurements import RobotState
+from koala3d.capture.model import kinematics
+from koala3d.capture.model.rig import RigDescription
+from koala3d.capture.model.trajectory import load_trajectory
 from koala3d.capture.planning import plan
 from koala3d.capture.recording.replay import replay, summary
-from koala3d.capture.rig.description import RigDescription
-from koala3d.capture.trajectory import load_trajectory
 from koala3d.datasets import pose
 from koala3d.datasets.core import files
 from koala3d.datasets.recording import Frame, Recording

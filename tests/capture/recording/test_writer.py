@@ -3,7 +3,7 @@ import threading
 import numpy as np
 import pytest
 
-from koala3d.capture.measurements import Image
+from koala3d.capture.drivers.measurements import Image
 from koala3d.capture.recording import writer as module
 from koala3d.capture.recording.writer import Writer
 from koala3d.datasets.core import files

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 import yaml
 
-from koala3d.capture.errors import RigConnectionError
+from koala3d.capture.drivers.errors import RigConnectionError
+from koala3d.capture.model.rig import RigDescription, load_rig, recorded_rig
+from koala3d.capture.model.trajectory import Trajectory, load_trajectory
 from koala3d.capture.rig import opening
-from koala3d.capture.rig.description import RigDescription, load_rig, recorded_rig
 from koala3d.capture.rig.opening import describe, open_arm, open_rig, scene_for, write_simulated_rig
 from koala3d.capture.sim.controller.process import SimulatedController
 from koala3d.capture.sim.grbl import SimulatedGrbl
-from koala3d.capture.trajectory import Trajectory, load_trajectory
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.recording import Recording
 

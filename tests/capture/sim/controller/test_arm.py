@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from koala3d.capture.kinematics import UR5E, forward
+from koala3d.capture.model.kinematics import UR5E, forward
 from koala3d.capture.sim.controller.arm import PAUSE_S, Arm, Safety
 from koala3d.capture.sim.controller.profiles import Stop
 from koala3d.datasets import pose

@@ -9,8 +9,8 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from koala3d.capture.robots.rtde import program
-from koala3d.capture.robots.rtde.wire import packet
+from koala3d.capture.drivers.ur.rtde import program
+from koala3d.capture.drivers.ur.rtde.wire import packet
 from koala3d.capture.sim.controller.arm import Arm
 from koala3d.capture.sim.controller.process import SimulatedController
 from koala3d.capture.sim.controller.script import ACTIONS, ANSWERS, DONE, ControlProgram, refusal

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from koala3d.capture.kinematics import forward
-from koala3d.capture.robots.rtde import wire
+from koala3d.capture.drivers.ur.rtde import wire
+from koala3d.capture.model.kinematics import forward
 from koala3d.capture.sim.controller.arm import Arm, Safety
 from koala3d.capture.sim.controller.installation import Installation
 from koala3d.capture.sim.controller.outputs import Outputs

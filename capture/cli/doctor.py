@@ -1,0 +1,38 @@
+"""The command that says whether a recording can begin."""
+
+from pathlib import Path
+from typing import Annotated
+
+from typer import Exit, Option
+
+from koala3d.capture.cli.options import RigName
+from koala3d.datasets.core import console
+
+
+def doctor(
+    rig: RigName = "sim",
+    out: Annotated[Path, Option(metavar="FOLDER", help="Where recordings will be: the disk whose free space is shown.")] = Path(),
+    seconds: Annotated[float, Option(min=0.1, max=600, help="How long the network is watched.")] = 5.0,
+    as_json: console.Json = False,
+) -> None:
+    """Ask arm, camera and computer whether a recording can begin: a table of ok, wrong and unknown, with remedies.
+
+    Nothing moves and nothing at the pendant is changed; the camera is brought to its factory settings, as before a recording.
+
+    The exit status is 1 where a line is wrong.
+    """
+    from koala3d.capture.doctor.examine import examine
+    from koala3d.capture.doctor.lines import Verdict, table
+    from koala3d.capture.rig.opening import controller_of, describe, host_of
+
+    description = describe(rig)
+    with controller_of(rig, description) as controller:
+        host = host_of(description, controller)
+        lines = examine(description, host, out, simulated=controller is not None, seconds=seconds)
+    found = [
+        {"name": line.name, "verdict": line.verdict, "found": line.found, "remedy": line.remedy, "blocks": line.blocks}
+        for line in lines
+    ]
+    console.report({"rig": rig, "lines": found}, as_json=as_json, text=table(lines))
+    if any(line.verdict is Verdict.WRONG for line in lines):
+        raise Exit(1)

@@ -1,0 +1,63 @@
+"""Commands that measure the response of the camera, and how right colours are afterwards."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from typer import Option
+
+from koala3d.capture.cli.options import RigName, Settings, TrajectoryName
+from koala3d.datasets.core import console
+
+
+def flat(
+    trajectory: TrajectoryName,
+    out: Annotated[Path, Option(metavar="FLAT.npz", help="New file to write.")],
+    rig: RigName = "sim",
+    frames: Annotated[int, Option(min=2, max=1000, help="Pictures of the card, and of darkness.")] = 32,
+    seed: Annotated[int, Option(min=0, help="Simulation only: random seed, that of the recordings.")] = 0,
+    wait: Annotated[bool, Option("--wait/--no-wait", help="Ask before each series; a simulation never asks.")] = True,
+    settings: Settings = None,
+    as_json: console.Json = False,
+) -> None:
+    """Measure black level, flat field, hot pixels, white balance and noise of the camera. The arm is not used.
+
+    The camera takes the settings of the trajectory. Cover the lens, then hold an evenly lit grey card before it."""
+    from koala3d.capture.model.trajectory import load_trajectory
+    from koala3d.capture.rig.opening import describe, is_simulated, open_camera
+    from koala3d.capture.sessions.live.flat import measured, statistics, words
+    from koala3d.datasets.core.files import refuse_existing
+
+    refuse_existing(out)
+    session = load_trajectory(trajectory, overrides=settings)
+    ask = wait and not is_simulated(rig, describe(rig))
+    series = {"lens_cap": "cover the lens", "grey_card": "fill the picture with an evenly lit grey card, out of focus"}
+    found = []
+    for scene, request in series.items():
+        if ask:
+            typer.confirm(f"{request}; ready?", default=True, abort=True, err=True)
+        with console.progress(request, frames, "pictures") as shown:
+            with open_camera(rig, session, scene=scene, seed=seed) as camera:
+                found.append(statistics(camera, frames, shown.advance))
+                result = measured(camera, *found) if len(found) == 2 else None
+    assert result is not None  # there are two series
+    result.save(out)
+    content = {"out": out, "black": result.black, "balance": result.balance, "hot": len(result.hot)}
+    content |= {"read": result.read, "shot": result.shot, "serial": result.serial, "pixel_format": result.pixel_format}
+    console.report(content, as_json=as_json, text=words(result, out))
+
+
+def bench_colour(
+    trajectory: TrajectoryName = Path("koala_demo"),
+    rig: RigName = "sim_flawed",
+    frames: Annotated[int, Option(min=2, max=1000, help="Pictures of the card, and of darkness.")] = 32,
+    settings: Settings = None,
+    as_json: console.Json = False,
+) -> None:
+    """Measure the colour error of a grey card on a simulated rig, with and without correction, at four brightnesses."""
+    from koala3d.capture.model.trajectory import load_trajectory
+    from koala3d.capture.sessions.live.bench import errors, lines
+
+    with console.progress("bench", 2 * frames + 4, "pictures") as shown:
+        found = errors(load_trajectory(trajectory, overrides=settings), rig, frames, shown.advance)
+    console.report({"cards": [vars(one) for one in found]}, as_json=as_json, text="\n".join(lines(found)))

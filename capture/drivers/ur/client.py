@@ -1,0 +1,107 @@
+"""What the driver's child process needs of a client of the controller, and which one it takes.
+
+Two exist: `ur_rtde`, the vendor's library, and `koala`, one of our own in plain sockets for platforms without it.
+"""
+
+from collections.abc import Sequence
+from enum import StrEnum
+from importlib.metadata import PackageNotFoundError, version
+from typing import Protocol, TypedDict
+
+
+class ClientChoice(StrEnum):
+    """Which client to take; AUTO: the vendor's where it can be imported."""
+
+    AUTO = "auto"
+    UR_RTDE = "ur_rtde"
+    KOALA = "koala"
+
+
+class StartFailure(StrEnum):
+    """Why a client did not start."""
+
+    IN_USE = "in use"  # another program controls the robot
+    MISSING = "missing"  # the client is not installed
+    OTHER = "other"
+
+
+class StartError(RuntimeError):
+    """A client did not start; nothing moves."""
+
+    def __init__(self, why: str, failure: StartFailure = StartFailure.OTHER) -> None:
+        super().__init__(why)
+        self.failure = failure
+
+
+class State(TypedDict):
+    """One sample of the controller, and what the client knows about its connection and motion."""
+
+    robot_time_s: float
+    joints: list[float]
+    joint_speeds: list[float]
+    tcp_pose: list[float]
+    speed_fraction: float
+    safety_bits: int
+    connected: bool
+    running: bool  # whether the control program runs and is not paused
+    operation: int  # number of the latest motion, 0 to 127
+    moving: bool
+    host_time_ns: int
+
+
+class Client(Protocol):
+    """A connection to the controller with the control program running. One thread uses it."""
+
+    name: str  # name and version
+
+    def state(self) -> State:
+        """The newest sample."""
+        ...
+
+    def move(self, joints: Sequence[float], speed: float, acceleration: float) -> int | None:
+        """Start a motion; `operation` from before it, None where the controller did not take it."""
+        ...
+
+    def stop(self, deceleration: float) -> None:
+        """Bring the arm to rest [rad/s^2]; returns at once."""
+        ...
+
+    def kick(self) -> None:
+        """Show the controller's watchdog that somebody is there."""
+        ...
+
+    def tcp_offset(self) -> list[float]:
+        """(6,) position [m] and rotation vector [rad] of the tool in the flange."""
+        ...
+
+    def leave(self) -> None:
+        """Let the arm come to rest."""
+        ...
+
+
+def versioned(name: str, package: str) -> str:
+    """The client's name with the version of its package, where that is installed as one."""
+    try:
+        return f"{name} {version(package)}"
+    except PackageNotFoundError:
+        return name
+
+
+def open_client(choice: str, host: str, frequency: float, watchdog_hz: float) -> Client:
+    """Connect and start the control program; it stops by itself when it is not kicked for 1 / `watchdog_hz` seconds.
+
+    Raises:
+        StartError: it did not start.
+        OSError: the controller cannot be reached.
+    """
+    if choice != ClientChoice.KOALA:
+        try:
+            from koala3d.capture.drivers.ur.vendor_client import VendorClient
+
+            return VendorClient(host, frequency, watchdog_hz)
+        except ImportError as error:
+            if choice == ClientChoice.UR_RTDE:
+                raise StartError(f"ur-rtde is not installed: {error}", StartFailure.MISSING) from None
+    from koala3d.capture.drivers.ur.koala_client import KoalaClient
+
+    return KoalaClient(host, frequency, watchdog_hz)
