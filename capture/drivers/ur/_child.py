@@ -14,11 +14,31 @@ import sys
 import time
 from typing import Any
 
-from koala3d.capture.drivers.ur.client import Client, StartError, StartFailure, open_client
+from koala3d.capture.drivers.ur.client import Client, ClientChoice, StartError, StartFailure
 
 MAX_BUSY_PERIOD_S, IDLE_PERIOD_S, BUSY_AFTER_S = 0.005, 0.02, 1.0
 """Periods of polling the client: in motion and for a while after it (at least twice per sample), and otherwise [s]."""
 KICK_S = 0.05
+
+
+def open_client(choice: str, host: str, frequency: float, watchdog_hz: float) -> Client:
+    """Connect and start the control program; it stops by itself when it is not kicked for 1 / `watchdog_hz` seconds.
+
+    Raises:
+        StartError: it did not start.
+        OSError: the controller cannot be reached.
+    """
+    if choice != ClientChoice.KOALA:
+        try:
+            from koala3d.capture.drivers.ur.vendor_client import VendorClient
+
+            return VendorClient(host, frequency, watchdog_hz)
+        except ImportError as error:
+            if choice == ClientChoice.UR_RTDE:
+                raise StartError(f"ur-rtde is not installed: {error}", StartFailure.MISSING) from None
+    from koala3d.capture.drivers.ur.koala_client import KoalaClient
+
+    return KoalaClient(host, frequency, watchdog_hz)
 
 
 def _serve(client: Client, link: socket.socket, busy_period_s: float) -> None:

@@ -1,4 +1,4 @@
-"""What the driver's child process needs of a client of the controller, and which one it takes.
+"""What a client of the controller is: the driver's child process holds one.
 
 Two exist: `ur_rtde`, the vendor's library, and `koala`, one of our own in plain sockets for platforms without it.
 """
@@ -85,23 +85,3 @@ def versioned(name: str, package: str) -> str:
         return f"{name} {version(package)}"
     except PackageNotFoundError:
         return name
-
-
-def open_client(choice: str, host: str, frequency: float, watchdog_hz: float) -> Client:
-    """Connect and start the control program; it stops by itself when it is not kicked for 1 / `watchdog_hz` seconds.
-
-    Raises:
-        StartError: it did not start.
-        OSError: the controller cannot be reached.
-    """
-    if choice != ClientChoice.KOALA:
-        try:
-            from koala3d.capture.drivers.ur.vendor_client import VendorClient
-
-            return VendorClient(host, frequency, watchdog_hz)
-        except ImportError as error:
-            if choice == ClientChoice.UR_RTDE:
-                raise StartError(f"ur-rtde is not installed: {error}", StartFailure.MISSING) from None
-    from koala3d.capture.drivers.ur.koala_client import KoalaClient
-
-    return KoalaClient(host, frequency, watchdog_hz)

@@ -1,16 +1,12 @@
 """The dashboard server's protocol: one line in, one line out."""
 
-from typing import TYPE_CHECKING
-
 from koala3d.capture.sim.controller.arm import Arm, RobotMode, Safety
-
-if TYPE_CHECKING:
-    from koala3d.capture.sim.controller.server import ControllerServer
+from koala3d.capture.sim.controller.state import Controller
 
 GREETING = "Connected: Universal Robots Dashboard Server"
 
 
-def reply(controller: "ControllerServer", line: str) -> str:
+def reply(controller: Controller, line: str) -> str:
     """Answer to one command."""
     arm, word = controller.arm, line.strip().lower()
     running = controller.program_running

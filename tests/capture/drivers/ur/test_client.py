@@ -7,7 +7,8 @@ import pytest
 
 from koala3d.capture.drivers.errors import RigConnectionError
 from koala3d.capture.drivers.ur import client, koala_client
-from koala3d.capture.drivers.ur.client import StartError, StartFailure, open_client
+from koala3d.capture.drivers.ur._child import open_client
+from koala3d.capture.drivers.ur.client import StartError, StartFailure
 from koala3d.capture.drivers.ur.robot import UniversalRobot
 from koala3d.capture.sim.controller.process import SimulatedController
 
