@@ -65,7 +65,7 @@ class EmulatedBasler:
     depth_camera = None
 
     def __init__(self, settings: CameraSettings, number: int = 0) -> None:
-        self._driver, self._count = Basler(settings, serial=serial_of(number), emulated=True), 0
+        self._driver, self._count = Basler(settings, Device(serial=serial_of(number)), emulated=True), 0
         self._folder: TemporaryDirectory[str] | None = None  # while it is open
 
     def __enter__(self) -> Self:

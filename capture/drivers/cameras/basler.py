@@ -5,38 +5,30 @@ With `emulated=True` the same code drives the emulated camera of pylon, which sh
 
 import os
 import time
-from collections.abc import Collection, Iterator, Mapping
-from contextlib import contextmanager
-from typing import Any, Self
+from collections.abc import Collection
+from typing import Any
 
+from koala3d.capture.drivers.cameras.base import first_line, only_one
+from koala3d.capture.drivers.cameras.genicam import CHANGE, GenicamCamera
 from koala3d.capture.drivers.cameras.genicam_lock import release_abandoned
-from koala3d.capture.drivers.cameras.nodes import put_all
-from koala3d.capture.drivers.cameras.pixels import choose_format, colours
-from koala3d.capture.drivers.cameras.start_state import load_default, set_colour_space, set_plain
+from koala3d.capture.drivers.cameras.pixels import colours
 from koala3d.capture.drivers.errors import CaptureError, RigConnectionError
 from koala3d.capture.drivers.measurements import Image
+from koala3d.capture.model.device import Device
 from koala3d.capture.model.trajectory import CameraSettings
-from koala3d.datasets.imaging.region import Region
 
 TRIES = 4  # attempts to get an undamaged image before the grab fails
 READY_MS = 2000  # longest time until the camera accepts a trigger [ms]
 TRANSFER_MS = 3000  # longest time for an image after its exposure [ms]
 BUFFERS = 2
 """Image buffers: only one exposure is in flight. With the default of ten, the first use of each would cost milliseconds."""
-AUTOMATICS = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto")
-"""Automatic functions, set to Off where they exist: nothing may change from picture to picture."""
-
 EMULATED = "8"
 """How many cameras pylon emulates; their serial numbers are 0815-0000 and so on."""
 EMULATED_SENSOR = {"Width": 1920, "Height": 1080}  # sensor of the simulated rig [px]: that of an acA1920-25uc
-CHANGE = "change the camera settings of the trajectory"
 
 
-class Basler:
-    """One Basler camera with constant exposure and gain, triggered by software.
-
-    Lifecycle: the constructor does no I/O. Entering opens the camera, writes every setting, reads each back and compares.
-    On any failure the camera is closed again. Use as a context manager. `own` are more settings by pylon's names, written last.
+class Basler(GenicamCamera):
+    """One Basler camera.
 
     Time: `device_ticks` come from the camera: 1 ns each on USB, 8 ns on GigE without PTP. The emulation has none (0).
 
@@ -45,42 +37,13 @@ class Basler:
         CaptureError: a setting was rejected (requested and actual value), or no complete image arrived in time.
     """
 
-    def __init__(
-        self,
-        settings: CameraSettings,
-        *,
-        serial: str = "",
-        emulated: bool = False,
-        own: Mapping[str, bool | int | float | str] | None = None,
-    ) -> None:
-        self.settings, self.serial, self.emulated, self.own = settings, serial, emulated, dict(own or {})
-        self._camera: Any = None
+    def __init__(self, settings: CameraSettings, device: Device | None = None, *, emulated: bool = False) -> None:
+        device = device or Device()
+        if emulated:  # it sends the picture file's values as they are; `colours` encodes raw formats
+            device = device.model_copy(update={"leave": ["colour_space"]})
+        super().__init__(settings, device)
+        self.emulated = emulated
         self._pylon: Any = None
-
-    def __enter__(self) -> Self:
-        if self.emulated:
-            os.environ["PYLON_CAMEMU"] = EMULATED  # pylon reads it when it looks for cameras
-        release_abandoned()
-        from pypylon import pylon
-
-        self._pylon = pylon
-        self._camera = pylon.InstantCamera(pylon.TlFactory.GetInstance().CreateDevice(self._find()))
-        try:
-            self._camera.Open()
-            self._configure()
-            self._camera.MaxNumBuffer.Value = BUFFERS
-            self._camera.StartGrabbing(pylon.GrabStrategy_OneByOne)
-        except pylon.GenericException as error:
-            self._close()
-            why, remedy = _first_line(error), "close other programs that use it, or plug it in again"
-            raise RigConnectionError("camera could not be set up", where=self._name(), why=why, remedy=remedy) from None
-        except BaseException:
-            self._close()
-            raise
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self._close()
 
     def grab(self) -> Image:
         """Trigger one exposure and wait for it; retries damaged images up to `TRIES` times."""
@@ -95,15 +58,10 @@ class Basler:
         except self._pylon.GenericException as error:
             if self._camera.IsCameraDeviceRemoved():
                 remedy = "plug it in and resume with --resume"
-                raise RigConnectionError("camera was unplugged", where=self._name(), remedy=remedy) from None
-            raise self._fault("camera gave no image", _first_line(error), "check its cable and resume with --resume") from None
+                raise RigConnectionError("camera was unplugged", where=self.name, remedy=remedy) from None
+            raise self._fault("camera gave no image", first_line(error), "check its cable and resume with --resume") from None
         remedy = "check cable and bandwidth, then resume with --resume"
         raise self._fault(f"camera gave {TRIES} damaged images in a row", reasons[-1], remedy)
-
-    def set_exposure(self, exposure_us: float) -> None:
-        """Change the exposure time of the next pictures [us]. Raises CaptureError: the camera rejects it."""
-        self._require_open()
-        self._set(self._exposure_name, exposure_us, tolerance=0.01 * exposure_us + 1)
 
     def feed(self, picture: str) -> None:
         """Emulation only: show a picture file in the next exposures."""
@@ -119,129 +77,92 @@ class Basler:
         self._camera.ForceFailedBufferCount.Value = count
         self._camera.ForceFailedBuffer.Execute()
 
-    @property
-    def region(self) -> Region:
-        """The region of the sensor in the images, as read back."""
-        camera = self._camera
-        binning = _value(camera, "BinningHorizontal", default=1)
-        return Region(camera.Width.Value, camera.Height.Value, camera.OffsetX.Value, camera.OffsetY.Value, binning)
-
     def description(self) -> dict[str, Any]:
         """Model, serial number, region, exposure, and the complete state as pylon saves it."""
         self._require_open()
-        info, binning = self._camera.GetDeviceInfo(), self.region.binning
         state = self._pylon.FeaturePersistence.SaveToString(self._camera.GetNodeMap())
         pairs = (line.rsplit("\t", 1) for line in state.splitlines() if "\t" in line and not line.startswith("#"))
         return {
             "driver": "basler",
-            "model": info.GetModelName(),
-            "serial": info.GetSerialNumber(),
+            "model": self._camera.GetDeviceInfo().GetModelName(),
+            "serial": self.serial,
             "emulated": self.emulated,
             "pylon": ".".join(str(part) for part in self._pylon.GetPylonVersion()),
-            "firmware": _value(self._camera, "DeviceFirmwareVersion", default=""),
+            "firmware": self._read("DeviceFirmwareVersion", ""),
             "region": self.region.to_json(),
-            "sensor": {"width": self._sensor_edge("Width") * binning, "height": self._sensor_edge("Height") * binning},
-            "exposure_us": self._exposure.Value,
-            "gain_db": self._gain_db(),
+            "sensor": self._sensor,
+            "exposure_us": self._exposure_us,
+            "gain_db": self._gain_db,
             "pixel_format": self._camera.PixelFormat.Value,
             "state": dict(pairs),
         }
 
-    def _require_open(self) -> None:
-        if self._camera is None:
-            raise self._fault("camera is closed", "", "open it first")
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        return "emulated camera" if self.emulated and not self.device.serial else super().name
 
-    def _find(self) -> Any:
-        every = self._pylon.TlFactory.GetInstance().EnumerateDevices()
-        devices = [device for device in every if (device.GetDeviceClass() == "BaslerCamEmu") == self.emulated]
-        serials = [device.GetSerialNumber() for device in devices]
-        if self.serial:
-            devices = [device for device in devices if device.GetSerialNumber() == self.serial]
-        if not devices:
-            connected = f"connected: {', '.join(serials) or 'none'}"
-            remedy = "check cable and power, and camera.serial in the rig file"
-            raise RigConnectionError("no Basler camera was found", where=self._name(), why=connected, remedy=remedy)
-        if len(devices) > 1 and not self.emulated:
-            remedy = "write the serial number into the rig file"
-            raise RigConnectionError("several Basler cameras are connected", why=", ".join(serials), remedy=remedy)
-        return devices[0]
+    @property
+    def nodes(self) -> "PylonNodes":
+        """Its settings."""
+        return PylonNodes(self._camera)
 
-    def _configure(self) -> None:
-        camera, wanted, nodes = self._camera, self.settings, PylonNodes(self._camera)
-        load_default(nodes)
-        set_plain(nodes)
-        for automatic in AUTOMATICS:
-            if _has(camera, automatic):
-                self._set(automatic, "Off")
-        self._set("PixelFormat", choose_format(wanted.pixel_format, camera.PixelFormat.Symbolics, where=self._name()))
-        if not self.emulated:  # the emulation sends the picture file's values as they are; `colours` encodes raw formats
-            set_colour_space(nodes, encoded=wanted.pixel_format == "rgb8")
-        if wanted.binning > 1 or _has(camera, "BinningHorizontal"):
-            self._set("BinningHorizontal", wanted.binning)
-            self._set("BinningVertical", wanted.binning)
-        for name, value in (("OffsetX", 0), ("OffsetY", 0), ("Width", wanted.width), ("Height", wanted.height)):
-            self._set(name, value)
-        self._set("OffsetX", _centred(wanted.offset_x, self._sensor_edge("Width"), wanted.width, camera.OffsetX.Inc))
-        self._set("OffsetY", _centred(wanted.offset_y, self._sensor_edge("Height"), wanted.height, camera.OffsetY.Inc))
-        self.set_exposure(wanted.exposure_us)
-        self._set("Gain", wanted.gain_db, tolerance=0.05)
-        for name, value in (("Selector", "FrameStart"), ("Mode", "On"), ("Source", "Software")):
-            self._set(f"Trigger{name}", value)
-        put_all(nodes, self.own, self._name())
+    @property
+    def serial(self) -> str:
+        """Its serial number."""
+        return str(self._camera.GetDeviceInfo().GetSerialNumber())
 
-    def _sensor_edge(self, name: str) -> int:
-        """Binned width or height of the sensor [px]. The emulation has no fixed sensor size; we use that of the simulated rig."""
+    def _connect(self) -> None:
         if self.emulated:
-            return EMULATED_SENSOR[name] // self.settings.binning
-        return int(getattr(self._camera, f"{name}Max").Value)
+            os.environ["PYLON_CAMEMU"] = EMULATED  # pylon reads it when it looks for cameras
+        release_abandoned()
+        from pypylon import pylon
 
-    @property
-    def _exposure_name(self) -> str:
-        return "ExposureTime" if _has(self._camera, "ExposureTime") else "ExposureTimeAbs"
+        self._pylon = pylon
+        factory = pylon.TlFactory.GetInstance()
+        devices = [one for one in factory.EnumerateDevices() if (one.GetDeviceClass() == "BaslerCamEmu") == self.emulated]
+        found = [(device.GetSerialNumber(), device) for device in devices]
+        if self.emulated and not self.device.serial:
+            found = found[:1]
+        remedy = "check cable and power, and camera.serial in the rig file"
+        device = only_one(found, self.device.serial, self.name, kind="Basler camera", remedy=remedy)
+        self._camera = pylon.InstantCamera(factory.CreateDevice(device))
+        self._camera.Open()
 
-    @property
-    def _exposure(self) -> Any:
-        return getattr(self._camera, self._exposure_name)
+    def _begin(self) -> None:
+        self._connect()
+        self._configure()
+        self._camera.MaxNumBuffer.Value = BUFFERS
+        self._camera.StartGrabbing(self._pylon.GrabStrategy_OneByOne)
 
-    def _gain_db(self) -> float:
-        return float(self._camera.Gain.Value)
+    @staticmethod
+    def _is_vendors(error: BaseException) -> bool:
+        from pypylon import genicam
 
-    def _set(self, name: str, value: Any, *, tolerance: float = 0.0) -> None:
-        """Write one setting and read it back."""
-        if not _has(self._camera, name):
-            raise self._fault(f"camera has no setting {name}", f"{value} was requested")
-        node = getattr(self._camera, name)
-        try:
-            node.Value = value
-        except self._pylon.GenericException:
-            limits = f", possible: {node.Min} to {node.Max}" if hasattr(node, "Min") else ""
-            why = f"requested {value}, it stays at {node.Value}{limits}"
-            raise self._fault(f"camera rejected {name}", why, CHANGE) from None
-        actual = node.Value
-        if actual != value and not (tolerance and abs(actual - value) <= tolerance):
-            raise self._fault(f"camera changed {name}", f"requested {value}, actual {actual}", CHANGE)
+        return isinstance(error, genicam.GenericException)
+
+    def _edge(self, name: str) -> int:
+        """The emulation has no sensor size of its own; it gets that of the simulated rig."""
+        return EMULATED_SENSOR[name] // self.settings.binning if self.emulated else super()._edge(name)
 
     def _try(self) -> tuple[Image | None, str]:
         camera, raise_late = self._camera, self._pylon.TimeoutHandling_ThrowException
         camera.WaitForFrameTriggerReady(READY_MS, raise_late)
         host_time_ns = time.monotonic_ns()
         camera.ExecuteSoftwareTrigger()
-        result = camera.RetrieveResult(TRANSFER_MS + int(self._exposure.Value / 1000), raise_late)
+        result = camera.RetrieveResult(TRANSFER_MS + int(self._exposure_us / 1000), raise_late)
         try:
             if not result.GrabSucceeded():
                 return None, result.GetErrorDescription() or f"error {result.GetErrorCode()}"
             data, name = result.Array, camera.PixelFormat.Value
             raw = data.copy() if name.endswith("12") else None
-            taken = (float(self._exposure.Value), self._gain_db(), int(result.TimeStamp), host_time_ns)
+            taken = (self._exposure_us, self._gain_db, int(result.TimeStamp), host_time_ns)
             return Image(colours(data, name), *taken, raw), ""
         finally:
             result.Release()
 
     def _fault(self, what: str, why: str, remedy: str = "") -> CaptureError:
-        return CaptureError(what, where=self._name(), why=why, remedy=remedy)
-
-    def _name(self) -> str:
-        return f"camera {self.serial}" if self.serial else "emulated camera" if self.emulated else "camera"
+        return CaptureError(what, where=self.name, why=why, remedy=remedy)
 
     def _close(self) -> None:
         camera, self._camera = self._camera, None
@@ -256,8 +177,11 @@ class PylonNodes:
         self._camera = camera
 
     def has(self, name: str) -> bool:
-        """Commands count as readable."""
-        return _has(self._camera, name)
+        """Commands, which may only be written, count as present."""
+        from pypylon import genicam
+
+        node = self._camera.GetNodeMap().GetNode(name)
+        return node is not None and bool(genicam.IsReadable(node) or genicam.IsWritable(node))
 
     def read(self, name: str) -> Any:
         """Its value."""
@@ -267,65 +191,26 @@ class PylonNodes:
         """Names of an enumeration's values."""
         return tuple(getattr(getattr(self._camera, name), "Symbolics", ()))
 
+    def step(self, name: str) -> int:
+        """By how much a whole number must change."""
+        return int(getattr(self._camera, name).Inc)
+
     def write(self, name: str, value: Any) -> None:
         """A command takes None."""
         from pypylon import genicam
 
+        node = getattr(self._camera, name)
         try:
             if value is None:
-                getattr(self._camera, name).Execute()
+                node.Execute()
             else:
-                getattr(self._camera, name).Value = value
+                node.Value = value
         except (genicam.GenericException, TypeError) as error:
-            raise CaptureError(f"camera rejected {name}", why=f"requested {value}: {_first_line(error)}", remedy=CHANGE) from None
+            limits = f", possible: {node.Min} to {node.Max}" if hasattr(node, "Min") else ""
+            why = f"requested {value}: {first_line(error)}{limits}"
+            raise CaptureError(f"camera rejected {name}", why=why, remedy=CHANGE) from None
 
 
 def serial_of(number: int) -> str:
     """Serial number of the emulated camera with a number, from 0; empty for the first one, which is then called the camera."""
     return f"0815-{number:04d}" if number else ""
-
-
-@contextmanager
-def opened(serial: str, *, emulated: bool = False) -> Iterator[tuple[PylonNodes, str]]:
-    """Open a camera only to look at it: its settings and its serial number.
-
-    Raises RigConnectionError: there is none, or several and no serial number, or another program uses it.
-    """
-    if emulated:
-        os.environ["PYLON_CAMEMU"] = EMULATED
-    release_abandoned()
-    from pypylon import pylon
-
-    driver = Basler(CameraSettings(), serial=serial, emulated=emulated)
-    driver._pylon = pylon
-    camera = pylon.InstantCamera(pylon.TlFactory.GetInstance().CreateDevice(driver._find()))
-    try:
-        camera.Open()
-    except pylon.GenericException as error:
-        remedy = "close other programs that use it, or plug it in again"
-        raise RigConnectionError("camera cannot be opened", where=driver._name(), why=_first_line(error), remedy=remedy) from None
-    try:
-        yield PylonNodes(camera), str(camera.GetDeviceInfo().GetSerialNumber())
-    finally:
-        camera.Close()
-
-
-def _has(camera: Any, name: str) -> bool:
-    """Whether the camera has a setting that can be read now."""
-    from pypylon import genicam
-
-    node = camera.GetNodeMap().GetNode(name)
-    return node is not None and bool(genicam.IsReadable(node))
-
-
-def _value(camera: Any, name: str, *, default: Any) -> Any:
-    return getattr(camera, name).Value if _has(camera, name) else default
-
-
-def _centred(offset: int | None, available: int, wanted: int, increment: int) -> int:
-    """The requested offset, or the one that centres the region on the grid of the camera [binned px]."""
-    return offset if offset is not None else max(available - wanted, 0) // 2 // increment * increment
-
-
-def _first_line(error: BaseException) -> str:
-    return str(error).splitlines()[0] if str(error) else type(error).__name__

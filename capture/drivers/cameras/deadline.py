@@ -5,7 +5,10 @@ import threading
 from collections.abc import Callable
 from typing import Any, TypeVar
 
+from koala3d.capture.drivers.cameras.base import CameraDriver
 from koala3d.capture.drivers.errors import RigConnectionError
+from koala3d.capture.model.device import Device
+from koala3d.capture.model.trajectory import CameraSettings
 
 Result = TypeVar("Result")
 REMEDY = "unplug the camera, plug it in again, and continue with --resume"
@@ -57,3 +60,43 @@ class Patient:
                 self._answers.put((act(), None))
             except BaseException as error:  # raised in the thread that waits
                 self._answers.put((None, error))
+
+
+class PatientCamera(CameraDriver):
+    """A driver whose library waits for ever: its calls have deadlines."""
+
+    open_s, set_up_s, answer_s = 20.0, 20.0, 10.0
+    """Longest time to open, to write all settings, and for another answer [s]."""
+
+    def __init__(self, settings: CameraSettings, device: Device) -> None:
+        super().__init__(settings, device)
+        self._patient: Patient | None = None
+
+    def _begin(self) -> None:
+        self._patient = Patient(self.name)
+        self._patient.call(self.open_s, self._connect)
+        self._patient.call(self.set_up_s, self._configure)
+
+    def _configure(self) -> None:
+        """Write the settings."""
+        raise NotImplementedError
+
+    def _release(self, camera: object) -> None:
+        """Let go of the library's own object."""
+        raise NotImplementedError
+
+    def _call(self, seconds: float, function: Callable[..., Result], *arguments: Any) -> Result:
+        """See `Patient.call`; the camera must be open."""
+        self._require_open()
+        assert self._patient is not None  # it is open
+        return self._patient.call(seconds, function, *arguments)
+
+    def _close(self) -> None:
+        patient, camera = self._patient, self._camera
+        self._patient, self._camera = None, None
+        if patient is None and camera is not None:  # it was only looked at
+            self._release(camera)
+        elif patient is not None and camera is not None:
+            patient.end_after(self.answer_s, lambda: self._release(camera))
+        elif patient is not None:
+            patient.end()

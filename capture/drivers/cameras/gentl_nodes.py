@@ -3,9 +3,9 @@
 from collections.abc import Collection
 from typing import Any
 
+from koala3d.capture.drivers.cameras.base import first_line
+from koala3d.capture.drivers.cameras.genicam import CHANGE
 from koala3d.capture.drivers.errors import CaptureError
-
-CHANGE = "change the camera settings of the trajectory"
 
 
 class GenTlNodes:
@@ -19,7 +19,7 @@ class GenTlNodes:
         return self._map.get_node(name)
 
     def has(self, name: str) -> bool:
-        """Commands count as readable."""
+        """Commands, which may only be written, count as present."""
         from genicam.genapi import EAccessMode
 
         if not self._map.has_node(name):
@@ -33,6 +33,10 @@ class GenTlNodes:
     def symbolics(self, name: str) -> Collection[str]:
         """Names of an enumeration's values."""
         return tuple(getattr(self.node(name), "symbolics", ()))
+
+    def step(self, name: str) -> int:
+        """By how much a whole number must change."""
+        return int(self.node(name).inc)
 
     def write(self, name: str, value: Any) -> None:
         """A command takes None."""
@@ -76,8 +80,3 @@ def is_vendors(error: BaseException) -> bool:
     from genicam import genapi, gentl
 
     return isinstance(error, genapi.GenericException | gentl.GenericException)
-
-
-def first_line(error: BaseException) -> str:
-    """What the library says, without where in its own code."""
-    return str(error).splitlines()[0] if str(error) else type(error).__name__

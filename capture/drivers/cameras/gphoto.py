@@ -7,22 +7,22 @@ Settings have the names that `gphoto2 --list-config` prints; each is one of a li
 import os
 import re
 import time
-from collections.abc import Collection, Iterator
-from contextlib import contextmanager
+from collections.abc import Collection
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
 from koala3d.capture.drivers.cameras import refusals
-from koala3d.capture.drivers.cameras.deadline import Patient
+from koala3d.capture.drivers.cameras.base import only_one
+from koala3d.capture.drivers.cameras.deadline import PatientCamera
 from koala3d.capture.drivers.cameras.nodes import put, put_all
 from koala3d.capture.drivers.errors import CaptureError, RigConnectionError
 from koala3d.capture.drivers.measurements import Image, Pixels
 from koala3d.capture.model.device import Device
 from koala3d.capture.model.trajectory import CameraSettings
 
-OPEN_S, ANSWER_S, TRANSFER_S = 20.0, 10.0, 30.0  # longest time to open, for a setting, and for a picture beyond its exposure [s]
+ANSWER_S, TRANSFER_S = 10.0, 30.0  # longest time for a setting, and for a picture beyond its exposure [s]
 BASE_ISO = 100.0
 """Sensitivity of 0 dB."""
 OFF = {"autofocus": "Off", "isoauto": "Off", "autoiso": "Off"}
@@ -34,7 +34,7 @@ VIRTUAL = "VCAMERADIR"
 """Variable that makes libgphoto2's virtual camera show the JPEG files of a folder; read when gphoto2 is imported."""
 
 
-class GphotoCamera:
+class GphotoCamera(PatientCamera):
     """One camera with fixed exposure, sensitivity and focus, released by USB.
 
     Its pictures are fetched and then deleted from the camera; pictures that were there before are left.
@@ -48,49 +48,33 @@ class GphotoCamera:
         CaptureError: a setting was rejected (requested and actual value), or a dial of the camera stands on automatic.
     """
 
+    busy = "close other programs that use it (also the desktop's own), or plug it in again"
+    answer_s = ANSWER_S
+
     def __init__(self, settings: CameraSettings, device: Device, *, pictures: Path | None = None) -> None:
-        self.settings, self.device, self.pictures = settings, device, pictures
-        self._camera: Any = None
-        self._patient: Patient | None = None
+        super().__init__(settings, device)
+        self.pictures = pictures
         self._model = self._serial = ""
-
-    def __enter__(self) -> Self:
-        self._patient = Patient(self._name())
-        try:
-            self._patient.call(OPEN_S, self._open)
-            self._patient.call(OPEN_S, self._configure)
-        except BaseException as error:
-            self._close()
-            if _is_vendors(error):
-                remedy = "close other programs that use it (also the desktop's own), or plug it in again"
-                raise RigConnectionError(
-                    "camera could not be set up", where=self._name(), why=str(error), remedy=remedy
-                ) from None
-            raise
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self._close()
 
     def grab(self) -> Image:
         """Release the shutter, fetch the picture and decode it."""
         begun, exposure_us = time.monotonic_ns(), self._exposure_us
         try:
-            data, ticks = self._open_patient.call(TRANSFER_S + exposure_us * 1e-6, self._taken)
+            data, ticks = self._call(TRANSFER_S + exposure_us * 1e-6, self._taken)
         except Exception as error:
             if not _is_vendors(error):
                 raise
             remedy = "check cable, battery, card and focus, then resume with --resume"
-            raise RigConnectionError("camera gave no image", where=self._name(), why=str(error), remedy=remedy) from None
+            raise RigConnectionError("camera gave no image", where=self.name, why=str(error), remedy=remedy) from None
         return Image(self._decoded(data), exposure_us, self._gain_db, ticks, begun)
 
     def set_exposure(self, exposure_us: float) -> None:
         """Change the exposure time of the next pictures [us]. Raises CaptureError: the camera has no such time."""
-        self._open_patient.call(ANSWER_S, self._set_exposure, exposure_us)
+        self._call(ANSWER_S, self._set_exposure, exposure_us)
 
     def description(self) -> dict[str, Any]:
         """Model, serial number, exposure, and all settings that can be read."""
-        state = self._open_patient.call(OPEN_S, ConfigNodes(self._camera).values)
+        state = self._call(self.set_up_s, self.nodes.values)
         return {
             "driver": "gphoto2",
             "model": self._model,
@@ -106,40 +90,48 @@ class GphotoCamera:
         }
 
     @property
-    def _open_patient(self) -> Patient:
-        if self._patient is None or self._camera is None:
-            raise CaptureError("camera is closed", where=self._name(), remedy="open it first")
-        return self._patient
+    def nodes(self) -> "ConfigNodes":
+        """Its configuration."""
+        return ConfigNodes(self._camera)
 
-    def _name(self) -> str:
-        return f"camera {self.device.serial}" if self.device.serial else "camera"
+    @property
+    def serial(self) -> str:
+        """Its serial number."""
+        return self._serial
 
-    def _open(self) -> None:
+    @property
+    def facts(self) -> dict[str, str]:
+        """See `Seen`."""
+        return {"firmware": str(self.nodes.read("deviceversion"))}
+
+    @staticmethod
+    def _is_vendors(error: BaseException) -> bool:
+        return _is_vendors(error)
+
+    def _connect(self) -> None:
         if self.pictures is not None:
             os.environ[VIRTUAL] = str(self.pictures)
         gphoto2 = _library()
         listed = gphoto2.Camera.autodetect()
-        found = [(listed.get_name(number), listed.get_value(number)) for number in range(len(listed))]
-        if len(found) > 1 and not self.device.serial:
-            why = ", ".join(f"{model} at {port}" for model, port in found)
-            remedy = "write the serial number into the rig file"
-            raise RigConnectionError("several cameras are connected", where=self._name(), why=why, remedy=remedy)
-        serials = []
-        for model, port in found:
+        places = [(listed.get_name(number), listed.get_value(number)) for number in range(len(listed))]
+        wanted, remedy = self.device.serial, "switch it on, check cable and camera.serial, and set its USB mode to PTP"
+        if not wanted:
+            words = ", ".join(f"{model} at {port}" for model, port in places)
+            places = [only_one([("", place) for place in places], "", self.name, words=words, remedy=remedy)]
+        others: list[tuple[str, None]] = []
+        for model, port in places:
             camera = _at(gphoto2, model, port)
             nodes = ConfigNodes(camera)
             serial = next((str(nodes.read(name)) for name in SERIALS if nodes.has(name)), "")
-            if self.device.serial in ("", serial):
+            if wanted in ("", serial):
                 self._camera, self._model, self._serial = camera, model, serial
                 return
-            serials.append(serial or model)
+            others.append((serial or model, None))
             camera.exit()
-        connected = f"connected: {', '.join(serials) or 'none'}"
-        remedy = "switch it on, check cable and camera.serial, and set its USB mode to PTP"
-        raise RigConnectionError("no camera was found by libgphoto2", where=self._name(), why=connected, remedy=remedy)
+        only_one(others, wanted, self.name, remedy=remedy)
 
     def _configure(self) -> None:
-        wanted, device, where, nodes = self.settings, self.device, self._name(), ConfigNodes(self._camera)
+        wanted, device, where, nodes = self.settings, self.device, self.name, self.nodes
         refusals.refuse_format(wanted, ("rgb8",), where)
         refusals.refuse_region(wanted, where)
         for name, value in OFF.items():
@@ -168,11 +160,11 @@ class GphotoCamera:
             return
         if wanted not in sizes:
             size = tuple(int(edge) for edge in str(nodes.read("imagesize")).split("x"))
-            refusals.refuse_size(self.settings, (size[0], size[1]), self._name(), ", ".join(sizes))
+            refusals.refuse_size(self.settings, (size[0], size[1]), self.name, ", ".join(sizes))
         put(nodes, "imagesize", wanted)
 
     def _set_exposure(self, exposure_us: float) -> None:
-        nodes, where = ConfigNodes(self._camera), self._name()
+        nodes, where = self.nodes, self.name
         if not nodes.has("shutterspeed") or "exposure_us" in self.device.leave:
             why, remedy = "it has no shutterspeed, or camera.leave names it", "list exposure_us in camera.leave"
             raise CaptureError("camera takes no exposure time", where=where, why=why, remedy=remedy)
@@ -192,7 +184,7 @@ class GphotoCamera:
         return self.settings.gain_db if found is None else float(20 * np.log10(float(found) / BASE_ISO))
 
     def _reported(self, name: str) -> str:
-        return str(self._open_patient.call(ANSWER_S, ConfigNodes(self._camera).read, name))
+        return str(self._call(ANSWER_S, self.nodes.read, name))
 
     def _taken(self) -> tuple[bytes, int]:
         """The file of one picture and its time by the camera's clock [ns]; the picture is deleted from the camera."""
@@ -211,17 +203,12 @@ class GphotoCamera:
         picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION)
         if picture is None:
             remedy = "set imagequality or imageformat in camera.settings to a JPEG"
-            raise CaptureError("camera sent no JPEG", where=self._name(), why=f"begins with {data[:4].hex()}", remedy=remedy)
-        refusals.refuse_size(self.settings, (picture.shape[1], picture.shape[0]), self._name())
+            raise CaptureError("camera sent no JPEG", where=self.name, why=f"begins with {data[:4].hex()}", remedy=remedy)
+        refusals.refuse_size(self.settings, (picture.shape[1], picture.shape[0]), self.name)
         return picture.astype(np.uint8, copy=False)
 
-    def _close(self) -> None:
-        patient, camera = self._patient, self._camera
-        self._patient, self._camera = None, None
-        if patient is not None and camera is not None:
-            patient.end_after(ANSWER_S, camera.exit)
-        elif patient is not None:
-            patient.end()
+    def _release(self, camera: Any) -> None:
+        camera.exit()
 
 
 class ConfigNodes:
@@ -292,17 +279,6 @@ def microseconds(word: str) -> float | None:
     if match is None or not float(match[2] or 1):
         return None
     return 1e6 * float(match[1]) / float(match[2] or 1) or None
-
-
-@contextmanager
-def opened(device: Device, *, pictures: Path | None = None) -> Iterator[tuple[ConfigNodes, str]]:
-    """Open a camera only to look at it: its settings and its serial number. Raises RigConnectionError as the driver does."""
-    driver = GphotoCamera(CameraSettings(), device, pictures=pictures)
-    try:
-        driver._open()
-        yield ConfigNodes(driver._camera), driver._serial
-    finally:
-        driver._close()
 
 
 def _at(gphoto2: Any, model: str, port: str) -> Any:

@@ -5,22 +5,21 @@ with every system (`_EXPOSURE`), and its gain none. A system may ignore a settin
 """
 
 import time
-from collections.abc import Callable, Collection, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Collection
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
 from koala3d.capture.drivers.cameras import refusals
-from koala3d.capture.drivers.cameras.deadline import Patient
+from koala3d.capture.drivers.cameras.deadline import PatientCamera
 from koala3d.capture.drivers.cameras.nodes import put, put_all
 from koala3d.capture.drivers.errors import CaptureError, RigConnectionError
 from koala3d.capture.drivers.measurements import Image, Pixels
 from koala3d.capture.model.device import Device
 from koala3d.capture.model.trajectory import CameraSettings
 
-OPEN_S, ANSWER_S = 10.0, 5.0  # longest time until a device is open, and for an answer beyond the exposure [s]
+ANSWER_S = 5.0  # longest time for an answer beyond the exposure [s]
 STALE = 5  # pictures that a webcam may have buffered: four in V4L2, and the one that is being exposed
 AUTOMATICS = {"AUTO_WB": 0.0, "AUTOFOCUS": 0.0}
 """Automatic functions, and the values that switch them off; many webcams have none of them."""
@@ -36,7 +35,7 @@ FRAME_COUNT FRAME_HEIGHT FRAME_WIDTH GAIN GAMMA HUE SATURATION SHARPNESS TEMPERA
 """Properties that the manifest keeps, by OpenCV's names without CAP_PROP_."""
 
 
-class OpenCvCamera:
+class OpenCvCamera(PatientCamera):
     """One webcam, or a film or numbered pictures that are shown one after the other.
 
     Args:
@@ -49,47 +48,27 @@ class OpenCvCamera:
         CaptureError: a setting was rejected (requested and actual value), or no picture is left.
     """
 
+    open_s, set_up_s, answer_s = 10.0, ANSWER_S, ANSWER_S
+
     def __init__(self, settings: CameraSettings, device: Device) -> None:
-        self.settings, self.device, self._exposure_us = settings, device, settings.exposure_us
-        self._capture: Any = None
-        self._patient: Patient | None = None
-        self._taken = 0
-
-    def __enter__(self) -> Self:
-        self._patient = Patient(self._name())
-        try:
-            self._capture = self._patient.call(OPEN_S, self._opened)
-            self._patient.call(ANSWER_S, self._configure)
-        except BaseException:
-            self._close()
-            raise
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self._close()
+        super().__init__(settings, device)
+        self._exposure_us, self._taken = settings.exposure_us, 0
 
     def grab(self) -> Image:
         """The next picture of a film, or one that a webcam has exposed after this call."""
-        patient, exposure_us = self._patient, self._exposure_us
-        if patient is None:
-            raise CaptureError("camera is closed", where=self._name(), remedy="open it first")
-        begun = time.monotonic_ns()
-        pixels, ticks = patient.call(ANSWER_S + (STALE + 1) * exposure_us * 1e-6, self._read)
+        begun, exposure_us = time.monotonic_ns(), self._exposure_us
+        pixels, ticks = self._call(ANSWER_S + (STALE + 1) * exposure_us * 1e-6, self._read)
         self._taken += 1
         return Image(pixels, exposure_us, self.settings.gain_db, ticks, begun)
 
     def set_exposure(self, exposure_us: float) -> None:
         """Change the exposure time of the next pictures [us]. Raises CaptureError: the camera rejects it."""
-        if self._patient is None:
-            raise CaptureError("camera is closed", where=self._name(), remedy="open it first")
-        self._patient.call(ANSWER_S, self._set_exposure, exposure_us)
+        self._call(ANSWER_S, self._set_exposure, exposure_us)
 
     def description(self) -> dict[str, Any]:
         """Source, size, exposure, and all properties that OpenCV can read."""
-        if self._capture is None:
-            raise CaptureError("camera is closed", where=self._name(), remedy="open it first")
-        nodes = CaptureNodes(self._capture)
-        backend = self._capture.getBackendName()
+        self._require_open()
+        nodes, backend = self.nodes, self._camera.getBackendName()
         return {
             "driver": "opencv",
             "model": f"{'webcam' if self._is_live else 'film'}, {backend}",
@@ -107,13 +86,30 @@ class OpenCvCamera:
     def _is_live(self) -> bool:
         return is_live(self.device.source)
 
-    def _name(self) -> str:
-        return f"camera {self.device.source or 0}"
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        return f"camera {self.serial}"
 
-    def _opened(self) -> Any:
+    @property
+    def nodes(self) -> "CaptureNodes":
+        """Its properties."""
+        return CaptureNodes(self._camera)
+
+    @property
+    def serial(self) -> str:
+        """Its source: OpenCV knows no serial numbers."""
+        return self.device.source or "0"
+
+    @staticmethod
+    def _is_vendors(error: BaseException) -> bool:
+        """OpenCV's own say nothing that a person could use."""
+        return False
+
+    def _connect(self) -> None:
         import cv2
 
-        source, number = self.device.source or "0", self._is_live
+        source, number = self.serial, self._is_live
         if not number and "%" not in source and not Path(source).is_file():
             remedy = "camera.source takes the number of a webcam, a film, or numbered pictures such as shots/%03d.png"
             raise RigConnectionError("no such file", where=source, remedy=remedy)
@@ -121,16 +117,16 @@ class OpenCvCamera:
         if not capture.isOpened():
             capture.release()
             why = "no webcam has this number, or another program uses it" if number else "OpenCV cannot read it"
-            raise RigConnectionError("camera cannot be opened", where=self._name(), why=why, remedy="check camera.source")
-        return capture
+            raise RigConnectionError("camera cannot be opened", where=self.name, why=why, remedy="check camera.source")
+        self._camera = capture
 
     def _configure(self) -> None:
         import cv2
 
-        wanted, where, capture = self.settings, self._name(), self._capture
+        wanted, where, capture = self.settings, self.name, self._camera
         refusals.refuse_format(wanted, ("rgb8",), where)
         refusals.refuse_region(wanted, where)
-        nodes = CaptureNodes(capture)
+        nodes = self.nodes
         if self._is_live:
             for name, value in AUTOMATICS.items():
                 if nodes.has(name):
@@ -147,13 +143,12 @@ class OpenCvCamera:
         put_all(nodes, self.device.settings, where)
 
     def _set_exposure(self, exposure_us: float) -> None:
-        where, backend = self._name(), self._capture.getBackendName()
+        where, backend, nodes = self.name, self._camera.getBackendName(), self.nodes
         if not self._is_live or backend not in _EXPOSURE or "exposure_us" in self.device.leave:
             why = "a film was exposed before" if not self._is_live else f"{backend} does not say in which unit"
             remedy = "list exposure_us in camera.leave, and take no brackets"
             raise CaptureError("camera takes no exposure time", where=where, why=why, remedy=remedy)
         there, back = _EXPOSURE[backend]
-        nodes = CaptureNodes(self._capture)
         nodes.write("EXPOSURE", there(exposure_us))
         actual = back(nodes.read("EXPOSURE"))
         if abs(actual - exposure_us) > refusals.SHARE * exposure_us:
@@ -166,27 +161,22 @@ class OpenCvCamera:
         import cv2
 
         for _ in range(STALE if self._is_live else 0):
-            self._capture.grab()
-        good, picture = self._capture.read()
+            self._camera.grab()
+        good, picture = self._camera.read()
         if not good or picture is None:
             why, remedy = f"{self._taken} were taken", "provide one picture per view"
             if self._is_live:
-                raise RigConnectionError("camera gave no image", where=self._name(), remedy="check its cable; use --resume")
-            raise CaptureError("no picture is left", where=self._name(), why=why, remedy=remedy)
+                raise RigConnectionError("camera gave no image", where=self.name, remedy="check its cable; use --resume")
+            raise CaptureError("no picture is left", where=self.name, why=why, remedy=remedy)
         if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3:
             why, remedy = f"{picture.dtype} {picture.shape}", "give colours of 8 bits"
-            raise CaptureError("camera sent another format", where=self._name(), why=why, remedy=remedy)
-        refusals.refuse_size(self.settings, (picture.shape[1], picture.shape[0]), self._name())
-        stamp_ms = float(self._capture.get(cv2.CAP_PROP_POS_MSEC))
+            raise CaptureError("camera sent another format", where=self.name, why=why, remedy=remedy)
+        refusals.refuse_size(self.settings, (picture.shape[1], picture.shape[0]), self.name)
+        stamp_ms = float(self._camera.get(cv2.CAP_PROP_POS_MSEC))
         return np.ascontiguousarray(picture[..., ::-1]), round(max(stamp_ms, 0.0) * 1e6)  # OpenCV's colours are BGR
 
-    def _close(self) -> None:
-        patient, capture = self._patient, self._capture
-        self._patient, self._capture = None, None
-        if patient is not None and capture is not None:
-            patient.end_after(ANSWER_S, capture.release)
-        elif patient is not None:
-            patient.end()
+    def _release(self, camera: Any) -> None:
+        camera.release()
 
 
 class CaptureNodes:
@@ -225,14 +215,3 @@ class CaptureNodes:
 def is_live(source: str) -> bool:
     """Whether a source is a webcam; an empty one is the first."""
     return source.isdigit() or not source
-
-
-@contextmanager
-def opened(device: Device) -> Iterator[tuple[CaptureNodes, str]]:
-    """Open a camera only to look at it: its settings and, since OpenCV knows no serial numbers, its source."""
-    driver = OpenCvCamera(CameraSettings(), device)
-    capture = driver._opened()
-    try:
-        yield CaptureNodes(capture), device.source or "0"
-    finally:
-        capture.release()

@@ -7,14 +7,13 @@ The sensors send pictures all the time. Those of before a request are thrown awa
 """
 
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import Any, Protocol, Self
+from typing import Any, Protocol
 
 import numpy as np
 
 from koala3d.capture.drivers.cameras import refusals
-from koala3d.capture.drivers.cameras.nodes import Nodes, put, put_all
+from koala3d.capture.drivers.cameras.base import CameraDriver, only_one
+from koala3d.capture.drivers.cameras.nodes import put, put_all
 from koala3d.capture.drivers.cameras.realsense_options import OptionNodes, factory_camera, rigid, set_start_state
 from koala3d.capture.drivers.errors import CaptureError, RigConnectionError
 from koala3d.capture.drivers.measurements import Image
@@ -39,13 +38,10 @@ class Emulation(Protocol):
         """They are about to be stopped."""
 
 
-class RealSense:
+class RealSense(CameraDriver):
     """One RealSense camera with fixed exposure, gain and white balance.
 
     Its gain has no unit: `gain_db` must be in `device.leave`, and `gain` may be in `device.settings`.
-
-    Lifecycle: the constructor does no I/O. Entering opens both sensors, writes every setting and reads it back; on any failure
-    all is closed again.
 
     Time: `device_ticks` is the frame's time stamp [ns], in the domain that the description names.
 
@@ -54,34 +50,18 @@ class RealSense:
         CaptureError: a setting or a mode was rejected (with what is possible).
     """
 
+    busy = f"{CameraDriver.busy}, at a USB 3 port"
+
     def __init__(self, settings: CameraSettings, device: Device, *, emulation: Emulation | None = None) -> None:
-        self.settings, self.device, self._emulation = settings, device, emulation
+        super().__init__(settings, device)
+        self._emulation = emulation
         self._rs: Any = None
-        self._found: Any = None
         self._sensors: list[Any] = []  # started ones
         self._colour: Any = None
         self._depth: Any = None
         self._profiles: tuple[Any, Any] = (None, None)
         self._queues: tuple[Any, Any] = (None, None)
         self._exposure_us = settings.exposure_us
-
-    def __enter__(self) -> Self:
-        self._rs = _library()
-        try:
-            self._found = _find(self._rs, self.device.serial, self._emulation)
-            self._configure()
-            self._start()
-        except RuntimeError as error:  # all that librealsense raises
-            self._close()
-            remedy = "close other programs that use it, or plug it in again, at a USB 3 port"
-            raise RigConnectionError("camera could not be set up", where=self._name(), why=str(error), remedy=remedy) from None
-        except BaseException:
-            self._close()
-            raise
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self._close()
 
     def grab(self) -> Image:
         """The first picture, and depth, that was exposed after this call."""
@@ -91,7 +71,7 @@ class RealSense:
             frames = [None if queue is None else _fresh(queue, patience_ms) for queue in self._queues]
         except RuntimeError as error:
             remedy = "check its cable and resume with --resume"
-            raise RigConnectionError("camera gave no image", where=self._name(), why=str(error), remedy=remedy) from None
+            raise RigConnectionError("camera gave no image", where=self.name, why=str(error), remedy=remedy) from None
         colour, depth = frames
         assert colour is not None  # there is always a queue for it
         measured = None if depth is None else np.array(np.asanyarray(depth.get_data()), np.uint16)
@@ -103,9 +83,9 @@ class RealSense:
         self._require_open()
         if "exposure_us" in self.device.leave:
             why, remedy = "camera.leave names it", "take exposure_us out of camera.leave, or take no brackets"
-            raise CaptureError("camera takes no exposure time", where=self._name(), why=why, remedy=remedy)
+            raise CaptureError("camera takes no exposure time", where=self.name, why=why, remedy=remedy)
         longest_us = 1e6 / self._profiles[0].fps()
-        refusals.refuse_impossible(exposure_us, 1.0, longest_us, f"exposure at {self._profiles[0].fps()} Hz", self._name())
+        refusals.refuse_impossible(exposure_us, 1.0, longest_us, f"exposure at {self._profiles[0].fps()} Hz", self.name)
         step_us = 1.0 if self._colour_is_stereo else STEP_US
         value = float(round(exposure_us / step_us))
         if abs(value * step_us - exposure_us) > refusals.SHARE * exposure_us:
@@ -113,8 +93,8 @@ class RealSense:
                 f"requested {exposure_us:g} us, in steps of {step_us:g} us",
                 "change the camera settings of the trajectory",
             )
-            raise CaptureError("camera rejected exposure", where=self._name(), why=why, remedy=remedy)
-        put(self._nodes, "exposure", value)
+            raise CaptureError("camera rejected exposure", where=self.name, why=why, remedy=remedy)
+        put(self.nodes, "exposure", value)
         self._exposure_us = value * step_us
 
     def description(self) -> dict[str, Any]:
@@ -124,7 +104,7 @@ class RealSense:
         said = {
             "driver": "realsense",
             "model": self._info("name"),
-            "serial": self._info("serial_number"),
+            "serial": self.serial,
             "firmware": self._info("firmware_version"),
             "usb": self._info("usb_type_descriptor"),
             "emulated": self._emulation is not None,
@@ -135,7 +115,7 @@ class RealSense:
             "left": list(self.device.leave),
             "frames_per_s": colour.fps(),
             "factory_camera": factory_camera(colour),
-            "state": self._nodes.values(),
+            "state": self.nodes.values(),
         }
         if depth is not None:
             said["depth"] = {
@@ -146,37 +126,63 @@ class RealSense:
         return said
 
     @property
-    def _nodes(self) -> "OptionNodes":
+    def nodes(self) -> OptionNodes:
+        """The options of its sensors."""
         return OptionNodes(self._rs, self._colour, self._depth)
+
+    @property
+    def serial(self) -> str:
+        """Its serial number."""
+        return self._info("serial_number")
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """See `Seen`."""
+        return {"firmware": self._info("firmware_version"), "link": self._info("usb_type_descriptor")}
+
+    @staticmethod
+    def _is_vendors(error: BaseException) -> bool:
+        """All that librealsense raises."""
+        return isinstance(error, RuntimeError)
+
+    def _connect(self) -> None:
+        self._rs = rs = _library()
+        every = [self._emulation.device] if self._emulation is not None else list(rs.context().query_devices())
+        found = [(_info(rs, device, "serial_number"), device) for device in every]
+        remedy = "check cable and camera.serial; on Linux install its udev rules"
+        self._camera = only_one(found, self.device.serial, self.name, kind="RealSense camera", remedy=remedy)
+        self._colour = _sensor(self._camera, rs.stream.color, self.name)
+        if self.device.depth is not None:
+            self._depth = _sensor(self._camera, rs.stream.depth, self.name)
+
+    def _begin(self) -> None:
+        self._connect()
+        self._configure()
+        self._start()
 
     @property
     def _colour_is_stereo(self) -> bool:
         return any(profile.stream_type() == self._rs.stream.depth for profile in self._colour.get_stream_profiles())
 
     def _info(self, name: str) -> str:
-        return _info(self._rs, self._found, name)
-
-    def _name(self) -> str:
-        return f"camera {self.device.serial}" if self.device.serial else "camera"
+        return _info(self._rs, self._camera, name)
 
     def _configure(self) -> None:
-        rs, wanted, where = self._rs, self.settings, self._name()
+        rs, wanted, where = self._rs, self.settings, self.name
         refusals.refuse_format(wanted, ("rgb8",), where)
         refusals.refuse_region(wanted, where)
-        self._colour = _sensor(self._found, rs.stream.color, where)
         size = (wanted.width, wanted.height)
         fastest = 1e6 / wanted.exposure_us if "exposure_us" not in self.device.leave else np.inf
         colour, depth = _profile(self._colour, rs.stream.color, rs.format.rgb8, size, fastest, where), None
         if self.device.depth is not None:
-            self._depth = _sensor(self._found, rs.stream.depth, where)
             size = (self.device.depth.width, self.device.depth.height)
             depth = _profile(self._depth, rs.stream.depth, rs.format.z16, size, colour.fps(), where)
         self._profiles = (colour, depth)
-        set_start_state(self._nodes)
+        set_start_state(self.nodes)
         if "exposure_us" not in self.device.leave:
             self.set_exposure(wanted.exposure_us)
         refusals.require_left(self.device, "gain_db", "its gain has no unit", where)
-        put_all(self._nodes, self.device.settings, where)
+        put_all(self.nodes, self.device.settings, where)
 
     def _start(self) -> None:
         rs, (colour, depth) = self._rs, self._profiles
@@ -204,13 +210,9 @@ class RealSense:
             frame.keep()
             queue.enqueue(frame)
 
-    def _require_open(self) -> None:
-        if self._colour is None:
-            raise CaptureError("camera is closed", where=self._name(), remedy="open it first")
-
     def _close(self) -> None:
         sensors, self._sensors = self._sensors, []
-        self._colour = self._depth = self._found = None
+        self._camera = self._colour = self._depth = None
         if self._emulation is not None:
             self._emulation.stop()
         for sensor in sensors:
@@ -220,17 +222,6 @@ class RealSense:
                 except RuntimeError:
                     pass  # it was not started, or has been unplugged
         self._queues = (None, None)
-
-
-@contextmanager
-def opened(device: Device, *, emulation: Emulation | None = None) -> Iterator[tuple[Nodes, str, dict[str, str]]]:
-    """Look at a camera without starting it: its settings, its serial number, and what it says of firmware and link."""
-    rs = _library()
-    found = _find(rs, device.serial, emulation)
-    colour = _sensor(found, rs.stream.color, "camera")
-    depth = _sensor(found, rs.stream.depth, "camera") if device.depth is not None else None
-    said = {name: _info(rs, found, name) for name in ("firmware_version", "usb_type_descriptor")}
-    yield OptionNodes(rs, colour, depth), _info(rs, found, "serial_number"), said
 
 
 def _library() -> Any:
@@ -251,23 +242,6 @@ def _fresh(queue: Any, patience_ms: int) -> Any:
     for _ in range(STALE):
         queue.wait_for_frame(patience_ms)
     return queue.wait_for_frame(patience_ms)
-
-
-def _find(rs: Any, serial: str, emulation: Emulation | None) -> Any:
-    every = [emulation.device] if emulation is not None else list(rs.context().query_devices())
-    serials = [_info(rs, device, "serial_number") for device in every]
-    chosen = [device for device, one in zip(every, serials, strict=True) if serial in ("", one)]
-    where = f"camera {serial}" if serial else "camera"
-    if not chosen:
-        why, remedy = (
-            f"connected: {', '.join(serials) or 'none'}",
-            "check cable and camera.serial; on Linux install its udev rules",
-        )
-        raise RigConnectionError("no RealSense camera was found", where=where, why=why, remedy=remedy)
-    if len(chosen) > 1:
-        remedy = "write the serial number into the rig file"
-        raise RigConnectionError("several RealSense cameras are connected", where=where, why=", ".join(serials), remedy=remedy)
-    return chosen[0]
 
 
 def _info(rs: Any, device: Any, name: str) -> str:

@@ -11,9 +11,10 @@ import pytest
 
 from koala3d.capture.doctor.examine import examine_arm, examine_camera, refuse_wrong
 from koala3d.capture.doctor.lines import Line, Verdict
-from koala3d.capture.drivers.cameras.basler import opened
+from koala3d.capture.drivers.cameras.basler import Basler
 from koala3d.capture.drivers.errors import NotReady
 from koala3d.capture.model.rig import RigDescription
+from koala3d.capture.model.trajectory import CameraSettings
 from koala3d.capture.sim.camera_nodes import FAMILIES, Setting, SimulatedNodes
 from koala3d.capture.sim.controller.process import SimulatedController
 
@@ -98,8 +99,8 @@ def controller() -> Iterator[SimulatedController]:
 
 @pytest.fixture(scope="module")
 def emulation() -> Iterator[tuple[Any, str]]:
-    with opened("", emulated=True) as found:
-        yield found
+    with Basler(CameraSettings(), emulated=True).seen() as found:
+        yield found.nodes, found.serial
 
 
 def examine(controller: SimulatedController, emulation: Any, faults: list[Fault], folder: Path) -> list[Line]:

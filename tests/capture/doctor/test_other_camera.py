@@ -8,6 +8,7 @@ from koala3d.capture.doctor.lines import Verdict
 from koala3d.capture.doctor.other_camera import check
 from koala3d.capture.model.device import Device
 from koala3d.capture.model.rig import CameraDescription, RigDescription
+from koala3d.capture.model.trajectory import CameraSettings
 from koala3d.capture.rig.cameras import seen
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.imaging import images
@@ -29,14 +30,13 @@ SENSOR = Camera(1920, 1080, 1380.0, 1380.0, 960.0, 540.0)
 )
 def test_what_is_wrong_with_a_realsense_is_named_and_nothing_else(usb, stated, wrong):
     pytest.importorskip("pyrealsense2", exc_type=ImportError)  # or its libusb is absent
-    from koala3d.capture.drivers.cameras.realsense import opened
+    from koala3d.capture.drivers.cameras.realsense import RealSense
     from koala3d.capture.sim.realsense_device import SoftwareRealSense
 
     description = CameraDescription.model_validate({"model": "realsense", "depth": {}, **stated})
     asked = Device(model="realsense", depth=description.depth)
-    with opened(asked, emulation=SoftwareRealSense(SENSOR, usb=usb)) as (nodes, serial, said):
-        facts = {"firmware": said["firmware_version"], "link": said["usb_type_descriptor"]}
-        lines = check(nodes, serial, facts, description)
+    with RealSense(CameraSettings(), asked, emulation=SoftwareRealSense(SENSOR, usb=usb)).seen() as found:
+        lines = check(found.nodes, found.serial, found.facts, description)
     assert {line.name for line in lines if line.verdict is Verdict.WRONG} == wrong
     assert all(line.remedy for line in lines if line.verdict is not Verdict.OK)
 

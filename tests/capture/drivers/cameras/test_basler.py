@@ -5,6 +5,7 @@ import pytest
 
 from koala3d.capture.drivers.cameras.basler import TRIES, Basler
 from koala3d.capture.drivers.errors import CaptureError, RigConnectionError
+from koala3d.capture.model.device import Device
 from koala3d.capture.model.trajectory import CameraSettings
 from koala3d.datasets.imaging import images
 from koala3d.datasets.imaging.region import Region
@@ -118,7 +119,7 @@ def test_a_rejected_setting_is_named_and_the_camera_closed(changed, words):
 
 def test_a_missing_camera_is_an_error():
     with pytest.raises(RigConnectionError, match=r"camera 123: no Basler camera was found .*check cable"):
-        Basler(SMALL, serial="123", emulated=True).__enter__()
+        Basler(SMALL, Device(serial="123"), emulated=True).__enter__()
 
 
 def test_a_camera_in_use_is_an_error():

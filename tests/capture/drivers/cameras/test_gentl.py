@@ -8,7 +8,7 @@ import pytest
 
 from koala3d.capture.doctor.examine import examine_camera
 from koala3d.capture.doctor.lines import Verdict
-from koala3d.capture.drivers.cameras.gentl import PATHS, GenTlCamera, opened
+from koala3d.capture.drivers.cameras.gentl import PATHS, GenTlCamera
 from koala3d.capture.drivers.errors import CaptureError, RigConnectionError
 from koala3d.capture.model.device import Device
 from koala3d.capture.model.rig import RigDescription
@@ -67,10 +67,10 @@ def test_what_the_camera_lacks_must_be_left_on_purpose(lacking, words):
     [
         ({"settings": {"BouncingBallSize": 41}}, "rejected BouncingBallSize .requested 41: .*Max = 40"),
         ({"settings": {"BallColour": 1}}, "has no setting BallColour"),
-        ({"serial": "9"}, "camera 9: no GenICam camera was found .the producer finds Viky 0, Viky 1, Viky 2"),
+        ({"serial": "9"}, "camera 9: no GenICam camera was found .connected: Viky 0, Viky 1, Viky 2"),
         ({"serial": ""}, "several GenICam cameras are connected .Viky 0.*write the serial number"),
         ({"source": "none.cti"}, "none.cti: no such GenTL producer"),
-        ({"source": __file__}, "it cannot be loaded"),
+        ({"source": __file__}, "whether the producer can be loaded"),
     ],
 )
 def test_what_is_wrong_is_said(changes, words):
@@ -80,18 +80,18 @@ def test_what_is_wrong_is_said(changes, words):
 
 def test_producers_are_found_by_the_standards_variable(monkeypatch):
     monkeypatch.setenv(PATHS, str(Path(PRODUCER).parent))
-    with opened(device(source="")) as (nodes, serial):
-        assert serial == "1" and nodes.read("PixelFormat") in nodes.symbolics("PixelFormat")
+    with GenTlCamera(SETTINGS, device(source="")).seen() as found:
+        assert found.serial == "1" and found.nodes.read("PixelFormat") in found.nodes.symbolics("PixelFormat")
     monkeypatch.setenv(PATHS, "")
     with pytest.raises(RigConnectionError, match=f"no GenTL producer .*{PATHS} names none"):
-        opened(device(source="")).__enter__()
+        GenTlCamera(SETTINGS, device(source="")).__enter__()
 
 
 def test_the_doctor_asks_it_and_says_what_is_left():
     rig = RigDescription.model_validate({"camera": device().model_dump()})
-    with opened(device()) as (nodes, serial):
-        lines = {line.name: line for line in examine_camera(nodes, serial, rig)}
-        strict = {line.name: line for line in examine_camera(nodes, serial, RigDescription())}
+    with GenTlCamera(SETTINGS, device()).seen() as found:
+        lines = {line.name: line for line in examine_camera(found.nodes, found.serial, rig)}
+        strict = {line.name: line for line in examine_camera(found.nodes, found.serial, RigDescription())}
     assert lines["camera serial"].verdict is Verdict.OK
     assert "factory_settings in camera.leave" in lines["factory settings"].remedy
     assert lines["colour space"].verdict is Verdict.UNKNOWN and strict["colour space"].verdict is Verdict.WRONG

@@ -16,7 +16,7 @@ PROGRAM = """
 import json, sys
 from pathlib import Path
 from koala3d.capture.model.device import Device
-from koala3d.capture.drivers.cameras.gphoto import GphotoCamera, opened
+from koala3d.capture.drivers.cameras.gphoto import GphotoCamera
 from koala3d.capture.doctor.other_camera import check
 from koala3d.capture.drivers.errors import CaptureError
 from koala3d.capture.model.rig import CameraDescription
@@ -36,8 +36,8 @@ for name, device, changes in json.loads(sys.argv[2]):
             found[name] = "opened"
     except CaptureError as error:
         found[name] = str(error)
-with opened(Device(**plain), pictures=pictures) as (words, serial):
-    lines = check(words, serial, {"firmware": "1"}, CameraDescription(**plain))
+with GphotoCamera(settings, Device(**plain), pictures=pictures).seen() as shown:
+    lines = check(shown.nodes, shown.serial, {"firmware": "1"}, CameraDescription(**plain))
 found["doctor"] = {line.name: [str(line.verdict), line.found] for line in lines}
 print(json.dumps(found))
 """
@@ -45,7 +45,7 @@ WRONG = [
     ("no iso", {"leave": []}, {}, "takes no gain_db (it has no iso)"),
     ("another aperture", {"settings": {"f-number": "f/3"}}, {}, "rejected f-number (requested f/3, possible: f/2.8, f/3.5"),
     ("fixed", {"settings": {"batterylevel": "9"}}, {}, "batterylevel cannot be changed from here (it stays at 50%)"),
-    ("serial", {"serial": "77"}, {}, "camera 77: no camera was found by libgphoto2 (connected: 0.1)"),
+    ("serial", {"serial": "77"}, {}, "camera 77: no camera was found (connected: 0.1)"),
     ("time", {}, {"exposure_us": 4000.0}, "rejected shutterspeed (requested 4000, nearest: 0.0050s (5000)"),
     ("size", {}, {"width": 600}, "requested 600x480, actual 640x480; it offers 640x480, 1024x768, 2048x1536"),
 ]

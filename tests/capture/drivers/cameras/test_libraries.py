@@ -5,9 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from koala3d.capture.drivers.cameras.realsense import opened
+from koala3d.capture.drivers.cameras.realsense import RealSense
 from koala3d.capture.drivers.errors import CaptureError
 from koala3d.capture.model.device import Device
+from koala3d.capture.model.trajectory import CameraSettings
 
 
 def test_a_library_that_cannot_be_loaded_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -15,4 +16,4 @@ def test_a_library_that_cannot_be_loaded_is_one_line(tmp_path: Path, monkeypatch
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.delitem(sys.modules, "pyrealsense2", raising=False)
     with pytest.raises(CaptureError, match=r"cannot be loaded \(libusb-1\.0\.so\.0: .*apt install libusb-1\.0-0"):
-        opened(Device(model="realsense")).__enter__()
+        RealSense(CameraSettings(), Device(model="realsense")).__enter__()

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from koala3d.capture.drivers.cameras.opencv import _EXPOSURE, OpenCvCamera, opened
+from koala3d.capture.drivers.cameras.opencv import _EXPOSURE, OpenCvCamera
 from koala3d.capture.drivers.errors import CaptureError, RigConnectionError
 from koala3d.capture.model.device import Device
 from koala3d.capture.model.trajectory import CameraSettings
@@ -93,5 +93,5 @@ def test_units_of_exposure_go_there_and_back():
 
 
 def test_it_can_be_looked_at(film):
-    with opened(device(film)) as (nodes, serial):
-        assert nodes.read("FRAME_WIDTH") == 64 and serial == film
+    with OpenCvCamera(CameraSettings(), device(film)).seen() as found:
+        assert found.nodes.read("FRAME_WIDTH") == 64 and found.serial == film
