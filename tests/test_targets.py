@@ -14,7 +14,8 @@ from koala3d.capture.model.rig import RigDescription, recorded_carrier
 from koala3d.capture.model.trajectory import load_trajectory
 from koala3d.capture.planning import blocked
 from koala3d.capture.recording.recorder import record
-from koala3d.capture.rig.opening import Rig, describe
+from koala3d.capture.rig.naming import describe
+from koala3d.capture.rig.rig import Rig
 from koala3d.capture.sim.camera import SimulatedCamera
 from koala3d.capture.sim.kinematic_arm import KinematicArm
 from koala3d.capture.sim.truth import RigTruth

@@ -36,7 +36,7 @@ def coverage(
     Views are counted in the order in which they are taken. What the object stands on is left out.
     """
     from koala3d.capture.model.trajectory import load_trajectory
-    from koala3d.capture.rig.opening import describe
+    from koala3d.capture.rig.naming import describe
     from koala3d.capture.sessions.adaptive.known_shape import covered_after, surface_of
     from koala3d.datasets.calibration import Calibration
 

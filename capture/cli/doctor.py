@@ -23,7 +23,8 @@ def doctor(
     """
     from koala3d.capture.doctor.examine import examine
     from koala3d.capture.doctor.lines import Verdict, table
-    from koala3d.capture.rig.opening import controller_of, describe, host_of
+    from koala3d.capture.rig.controllers import controller_of, host_of
+    from koala3d.capture.rig.naming import describe
 
     description = describe(rig)
     with controller_of(rig, description) as controller:

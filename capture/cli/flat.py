@@ -24,7 +24,8 @@ def flat(
 
     The camera takes the settings of the trajectory. Cover the lens, then hold an evenly lit grey card before it."""
     from koala3d.capture.model.trajectory import load_trajectory
-    from koala3d.capture.rig.opening import describe, is_simulated, open_camera
+    from koala3d.capture.rig.cameras import camera_for
+    from koala3d.capture.rig.naming import describe, is_simulated
     from koala3d.capture.sessions.live.flat import measured, statistics, words
     from koala3d.datasets.core.files import refuse_existing
 
@@ -37,7 +38,7 @@ def flat(
         if ask:
             typer.confirm(f"{request}; ready?", default=True, abort=True, err=True)
         with console.progress(request, frames, "pictures") as shown:
-            with open_camera(rig, session, scene=scene, seed=seed) as camera:
+            with camera_for(rig, session, scene=scene, seed=seed) as camera:
                 found.append(statistics(camera, frames, shown.advance))
                 result = measured(camera, *found) if len(found) == 2 else None
     assert result is not None  # there are two series

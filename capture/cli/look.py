@@ -42,7 +42,7 @@ def look(
     The camera takes the settings of the trajectory. The arm is left alone, except with --arm or --go.
     """
     from koala3d.capture.model.trajectory import load_trajectory
-    from koala3d.capture.rig.opening import describe, is_simulated, scene_for
+    from koala3d.capture.rig.naming import describe, is_simulated, scene_for
     from koala3d.capture.sessions.live.analysis import Part
     from koala3d.datasets.core.files import refuse_existing
 
@@ -78,11 +78,12 @@ def look(
 def _opened(rig: str, session: Any, scene: str, with_arm: bool, take_over: bool) -> Iterator[tuple[Any, Any]]:
     """The camera of a rig, and what moves its arm, which is None where it is left alone."""
     from koala3d.capture.doctor.examine import examination
-    from koala3d.capture.rig.opening import open_camera, open_rig
+    from koala3d.capture.rig.cameras import camera_for
+    from koala3d.capture.rig.opening import open_rig
     from koala3d.capture.sessions.live.jog import Jog
 
     if not with_arm:
-        with open_camera(rig, session, scene=scene) as camera:
+        with camera_for(rig, session, scene=scene) as camera:
             yield camera, None
         return
     examine = examination(Path.cwd(), session.upwards, session.camera.pixel_format == "rgb8", take_over)

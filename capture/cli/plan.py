@@ -54,7 +54,7 @@ def plan(
     from directions that differ.
     """
     from koala3d.capture.model.trajectory import load_trajectory
-    from koala3d.capture.rig.opening import describe
+    from koala3d.capture.rig.naming import describe
     from koala3d.datasets.core.errors import UsageError
     from koala3d.datasets.core.files import refuse_existing
 

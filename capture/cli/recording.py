@@ -54,7 +54,7 @@ def replay(
     """Repeat the joint path of a recording without the camera, and report the deviation of each frame's pose."""
     from koala3d.capture.model.trajectory import recorded_trajectory
     from koala3d.capture.recording.replay import replay, summary
-    from koala3d.capture.rig.opening import open_arm
+    from koala3d.capture.rig.arms import open_arm
     from koala3d.datasets.core import files
     from koala3d.datasets.recording import Recording
 

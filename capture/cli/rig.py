@@ -22,7 +22,8 @@ def sim(
     as_json: console.Json = False,
 ) -> None:
     """Start only the simulated controller of an arm, for any RTDE client. Prints its address and ports; Ctrl-C ends it."""
-    from koala3d.capture.rig.opening import controller_model, describe, write_simulated_rig
+    from koala3d.capture.rig.controllers import controller_model, write_simulated_rig
+    from koala3d.capture.rig.naming import describe
     from koala3d.capture.sim.controller.process import SimulatedController
     from koala3d.capture.sim.controller.server import DASHBOARD_PORT, RTDE_PORT, SCRIPT_PORT
     from koala3d.capture.sim.laboratory.scenes import check_name
@@ -60,8 +61,9 @@ def check_camera(
     The camera takes the settings of the trajectory. The exit status is 1 where a clause is broken.
     """
     from koala3d.capture.model.trajectory import load_trajectory
+    from koala3d.capture.rig.cameras import camera_for
     from koala3d.capture.rig.contract import CONTRACT, Subject, check
-    from koala3d.capture.rig.opening import camera_for, describe, is_simulated
+    from koala3d.capture.rig.naming import describe, is_simulated
 
     session, description = load_trajectory(trajectory, overrides=settings), describe(rig)
     scene = "grey_card" if is_simulated(rig, description) else ""

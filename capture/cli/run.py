@@ -58,7 +58,7 @@ def run(
     few views have seen and most new angles where colours change, less its travel.
     """
     from koala3d.capture.model.trajectory import load_trajectory
-    from koala3d.capture.rig.opening import scene_for
+    from koala3d.capture.rig.naming import scene_for
     from koala3d.capture.sessions.adaptive.loop import Goal
     from koala3d.capture.sessions.start import Options
     from koala3d.datasets.core.errors import KoalaError
@@ -116,7 +116,7 @@ def _every(session: "Trajectory", out: Path, options: "Options", port: int | Non
     """Record every view of a trajectory, with a page at a port where one is given; what to report."""
     from koala3d.capture.planning import plan
     from koala3d.capture.recording.recorder import record
-    from koala3d.capture.rig.opening import describe
+    from koala3d.capture.rig.naming import describe
     from koala3d.datasets.core.errors import UsageError
     from koala3d.datasets.recording import MANIFEST, Recording, chosen_views
 

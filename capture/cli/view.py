@@ -29,7 +29,7 @@ def view(
 ) -> None:
     """Show a trajectory or a recording in the browser: arm, views, obstacles, and the session over time."""
     from koala3d.capture.page.view import show
-    from koala3d.capture.rig.opening import describe
+    from koala3d.capture.rig.naming import describe
     from koala3d.datasets.page import open_page
 
     with open_page(path.stem, port) as page:

@@ -22,7 +22,7 @@ from koala3d.capture.model.trajectory import load_trajectory
 from koala3d.capture.planning import plan
 from koala3d.capture.recording.focus import sharpness
 from koala3d.capture.recording.recorder import record
-from koala3d.capture.rig.opening import Rig
+from koala3d.capture.rig.rig import Rig
 from koala3d.capture.sim.camera import SimulatedCamera
 from koala3d.capture.sim.controller.process import SimulatedController
 from koala3d.capture.sim.truth import RigTruth

@@ -16,7 +16,7 @@ from koala3d.capture.model.trajectory import Trajectory, recorded_trajectory
 from koala3d.capture.model.viewpoints import JointViews
 from koala3d.capture.planning import Obstacles, PlannedView, connect
 from koala3d.capture.recording.recorder import record
-from koala3d.capture.rig.opening import Rig
+from koala3d.capture.rig.rig import Rig
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.recording import MANIFEST, Recording

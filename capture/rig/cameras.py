@@ -1,13 +1,22 @@
-"""Opens the camera of a rig file: the driver that its `model` names, and the view of it that `capture doctor` has."""
+"""Opens the camera of a rig: the driver that its `model` names, or a simulation; and the view of it that `capture doctor` has."""
 
 from contextlib import AbstractContextManager
+from typing import TYPE_CHECKING
 
 from koala3d.capture.drivers.cameras.base import CameraDriver, Seen
+from koala3d.capture.drivers.protocols import Camera, GroundTruth
 from koala3d.capture.model.device import Device
-from koala3d.capture.model.trajectory import CameraSettings
+from koala3d.capture.model.flaws import Flaws
+from koala3d.capture.model.rig import RigDescription
+from koala3d.capture.model.trajectory import CameraSettings, Trajectory
+from koala3d.capture.rig.naming import describe, is_simulated
+
+if TYPE_CHECKING:
+    from koala3d.capture.rig.controllers import Simulation
+    from koala3d.capture.sim.turntable import SimulatedTurntable
 
 
-def camera_of(device: Device, settings: CameraSettings) -> CameraDriver:
+def driver_of(device: Device, settings: CameraSettings) -> CameraDriver:
     """The driver of a real camera with the settings of a trajectory; entering it connects."""
     if device.model == "genicam":
         from koala3d.capture.drivers.cameras.gentl import GenTlCamera
@@ -38,7 +47,7 @@ def seen(device: Device, *, simulated: bool = False, number: int = 0) -> Abstrac
 
     Raises RigConnectionError: there is none, or several and no serial number, or another program uses it.
     """
-    return (_emulated(device, number) if simulated else camera_of(device, CameraSettings())).seen()
+    return (_emulated(device, number) if simulated else driver_of(device, CameraSettings())).seen()
 
 
 def _emulated(device: Device, number: int) -> CameraDriver:
@@ -54,3 +63,49 @@ def _emulated(device: Device, number: int) -> CameraDriver:
 
     source = SoftwareRealSense(RigTruth.draw(np.eye(4), 0).sensor_camera)
     return RealSense(CameraSettings(), device.model_copy(update={"serial": ""}), emulation=source)
+
+
+def camera_in(
+    rig: RigDescription,
+    trajectory: Trajectory,
+    controller: "Simulation | None",
+    scene: str,
+    seed: int,
+    turned: "SimulatedTurntable | None",
+    number: int,
+) -> tuple[Camera, GroundTruth | None]:
+    """The camera of a rig, not connected, and what knows the truth about it; `number` as in `SimulatedCamera`."""
+    if controller is None:
+        return driver_of(rig.camera, trajectory.camera), None
+    from koala3d.capture.sim.camera import SimulatedCamera
+    from koala3d.capture.sim.truth import RigTruth, seed_of_camera
+
+    truth, flaws = RigTruth.of(rig.carrier(), trajectory, seed_of_camera(seed, number)), _flaws_of(rig)
+    made = SimulatedCamera(trajectory, scene, truth, controller, seed, flaws, device=rig.camera, table=turned, number=number)
+    return made, made
+
+
+def camera_for(name: str, trajectory: Trajectory, *, scene: str, seed: int = 0, view: int = 0) -> Camera:
+    """The camera of a rig, not connected; entering it connects it and leaves the arm alone.
+
+    Args:
+        scene: what a simulated camera looks at.
+        seed: of everything random in a simulation.
+        view: number of the view of the trajectory from which a simulated camera looks.
+    """
+    description = describe(name)
+    if not is_simulated(name, description):
+        return driver_of(description.camera, trajectory.camera)
+    from koala3d.capture.planning import Obstacles
+    from koala3d.capture.sim.camera import SimulatedCamera, StillArm
+    from koala3d.capture.sim.truth import RigTruth
+
+    carrier = description.carrier()
+    arm = StillArm(Obstacles.of(trajectory, carrier).flange_for(trajectory.viewpoints()[view].camera_pose(carrier)))
+    truth, flaws = RigTruth.of(carrier, trajectory, seed), _flaws_of(description)
+    return SimulatedCamera(trajectory, scene, truth, arm, seed, flaws, device=description.camera)
+
+
+def _flaws_of(description: RigDescription) -> Flaws:
+    """Flaws of a rig's simulated camera; none where the description has no simulation."""
+    return Flaws() if description.simulation is None else description.simulation.flaws

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from koala3d.capture.model.trajectory import Trajectory
-    from koala3d.capture.rig.opening import Rig
+    from koala3d.capture.rig.rig import Rig
 
 
 @dataclass(frozen=True)

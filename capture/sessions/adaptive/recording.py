@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from koala3d.capture.model.trajectory import Trajectory
 from koala3d.capture.recording.growing import GrowingRecording, Use
-from koala3d.capture.rig.opening import Rig
+from koala3d.capture.rig.rig import Rig
 from koala3d.capture.sessions.adaptive.loop import Known, Outcome, Why
 from koala3d.capture.sessions.adaptive.shape import Shape
 from koala3d.datasets.core.errors import UsageError

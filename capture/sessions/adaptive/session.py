@@ -32,7 +32,7 @@ def run(trajectory: Trajectory, out: Path, goal: Goal, options: Options, calibra
     Raises UsageError: `out` holds something else, or the trajectory is of another kind. CaptureError: an error of the rig; the
     arm stands still, and `out` can be resumed.
     """
-    from koala3d.capture.rig.opening import describe
+    from koala3d.capture.rig.naming import describe
 
     check(trajectory)
     carrier = describe(options.rig).carrier()

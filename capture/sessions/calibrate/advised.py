@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from koala3d.capture.model.trajectory import Trajectory
 from koala3d.capture.recording.growing import GrowingRecording
-from koala3d.capture.rig.opening import Rig
+from koala3d.capture.rig.rig import Rig
 from koala3d.capture.sessions.calibrate.adviser import Adviser
 from koala3d.datasets.advice import Answer, Question
 

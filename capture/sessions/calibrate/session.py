@@ -30,7 +30,7 @@ def run(
 
     Raises UsageError: `out` holds something else. CaptureError: an error of the rig; the arm stands still, `out` can be resumed.
     """
-    from koala3d.capture.rig.opening import scene_for
+    from koala3d.capture.rig.naming import scene_for
 
     if trajectory.turns:
         remedy = "calibrate with a board that stands still, then record calibration_turntable for 'calib turntable'"

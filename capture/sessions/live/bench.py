@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from koala3d.capture.drivers.protocols import Camera
 from koala3d.capture.model.trajectory import Trajectory
 from koala3d.capture.recording.writer import Writer
-from koala3d.capture.rig.opening import open_camera
+from koala3d.capture.rig.cameras import camera_for
 from koala3d.capture.sessions.live.flat import measured, statistics
 from koala3d.capture.sim.camera import SimulatedCamera
 from koala3d.capture.sim.laboratory.scenes import CARDS
@@ -42,9 +42,9 @@ class CardError:
 def errors(trajectory: Trajectory, rig: str, frames: int, advance: Callable[[], None]) -> list[CardError]:
     """Measure the response with a seed, then take pictures of the card at several brightnesses."""
     found = []
-    with open_camera(rig, trajectory, scene="lens_cap") as covered:
+    with camera_for(rig, trajectory, scene="lens_cap") as covered:
         dark = statistics(covered, frames, advance)
-    with open_camera(rig, trajectory, scene="grey_card") as camera, TemporaryDirectory(prefix="koala-colour-") as folder:
+    with camera_for(rig, trajectory, scene="grey_card") as camera, TemporaryDirectory(prefix="koala-colour-") as folder:
         if not isinstance(camera, SimulatedCamera):
             raise UsageError("only a simulated rig knows the true light", where=rig, remedy="use --rig sim_flawed")
         response = measured(camera, dark, statistics(camera, frames, advance))
@@ -65,8 +65,21 @@ def errors(trajectory: Trajectory, rig: str, frames: int, advance: Callable[[], 
 
 
 def _frame(number: int, camera: Camera) -> Frame:
-    name, still = f"{number:03d}", (np.eye(4), np.zeros(6))
-    return Frame(number, name, "train", f"images/{name}.png", *still, 0.0, 0, 0, 1.0, 0.0, "")
+    name = f"{number:03d}"
+    return Frame(
+        index=number,
+        name=name,
+        split="train",
+        image=f"images/{name}.png",
+        base_from_flange=np.eye(4),
+        joints=np.zeros(6),
+        robot_time_s=0.0,
+        host_time_ns=0,
+        device_ticks=0,
+        exposure_us=1.0,
+        settle_s=0.0,
+        sha256="",
+    )
 
 
 def _error(light: NDArray[np.float32], plain: NDArray[np.float32], true: float) -> CardError:

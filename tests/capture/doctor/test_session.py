@@ -15,7 +15,8 @@ from koala3d.capture.drivers.ur.dashboard import Dashboard
 from koala3d.capture.drivers.ur.robot import UniversalRobot
 from koala3d.capture.drivers.ur.timing import Deadlines
 from koala3d.capture.model.rig import RigDescription
-from koala3d.capture.rig.opening import describe, write_simulated_rig
+from koala3d.capture.rig.controllers import write_simulated_rig
+from koala3d.capture.rig.naming import describe
 from koala3d.capture.sim.controller.process import SimulatedController
 
 SESSION = """\

@@ -6,7 +6,7 @@ import pytest
 
 from koala3d.capture.model.rig import load_rig
 from koala3d.capture.model.trajectory import CameraSettings
-from koala3d.capture.rig.cameras import camera_of
+from koala3d.capture.rig.cameras import driver_of
 from koala3d.datasets.core.errors import UsageError
 
 
@@ -40,5 +40,5 @@ def test_files_of_a_source_lie_beside_the_rig_file(tmp_path):
 
 @pytest.mark.parametrize("model", ["basler", "genicam", "opencv", "realsense", "gphoto2"])
 def test_every_model_has_a_driver_that_connects_only_when_entered(tmp_path, model):
-    camera = camera_of(load_rig(rig(tmp_path, f"{{model: {model}, serial: '7'}}")).camera, CameraSettings())
+    camera = driver_of(load_rig(rig(tmp_path, f"{{model: {model}, serial: '7'}}")).camera, CameraSettings())
     assert {"__enter__", "__exit__", "grab", "set_exposure", "description"} <= set(dir(camera))

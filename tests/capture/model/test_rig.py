@@ -5,7 +5,7 @@ import pytest
 
 from koala3d.capture.model.rig import RigDescription, load_rig
 from koala3d.capture.planning import Obstacles
-from koala3d.capture.rig.opening import describe
+from koala3d.capture.rig.naming import describe
 from koala3d.datasets.core.errors import UsageError
 
 

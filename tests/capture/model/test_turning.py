@@ -12,7 +12,8 @@ from koala3d.capture.planning import Obstacles, duration, plan
 from koala3d.capture.recording.check import check
 from koala3d.capture.recording.manifest import require_same_session
 from koala3d.capture.recording.recorder import record
-from koala3d.capture.rig.opening import Rig, describe
+from koala3d.capture.rig.naming import describe
+from koala3d.capture.rig.rig import Rig
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.recording import Recording
 from tests.capture.recording.test_recorder import StandInCamera, StandInRobot

@@ -39,7 +39,22 @@ def begin(path: Path, trajectory: Trajectory) -> Recording:
 def take(recording: Recording, planned: list[PlannedView], index: int, grey: int) -> None:
     view, joints, image = planned[index].viewpoint, planned[index].joints, f"images/{index:03d}.png"
     images.write(recording.path / image, np.full((24, 32, 3), grey, np.uint8))
-    recording.append(Frame(index, view.name, view.split, image, np.eye(4), joints, 10.0 + index, 0, 0, 1e4, 0.3, ""))
+    recording.append(
+        Frame(
+            index=index,
+            name=view.name,
+            split=view.split,
+            image=image,
+            base_from_flange=np.eye(4),
+            joints=joints,
+            robot_time_s=10.0 + index,
+            host_time_ns=0,
+            device_ticks=0,
+            exposure_us=1e4,
+            settle_s=0.3,
+            sha256="",
+        )
+    )
 
 
 def test_frames_appear_as_they_come_and_the_arm_goes_along(tmp_path: Path, session: Any) -> None:

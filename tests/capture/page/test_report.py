@@ -40,7 +40,22 @@ def recorded(tmp_path: Path) -> Callable[..., Path]:
             reached, joints = pose.look_at((0.4, 0, 0.5), (0, 0, 0)), np.full(6, 0.1 * index)
             clocks = (100.0 + index, 10**9 * (7 + index), 10**9 * (3 + index))
             image, digest = f"images/{name}.png", files.sha256(picture)
-            recording.append(Frame(index, name, "train", image, reached, joints, *clocks, 10_000.0, 0.4, digest))
+            recording.append(
+                Frame(
+                    index=index,
+                    name=name,
+                    split="train",
+                    image=image,
+                    base_from_flange=reached,
+                    joints=joints,
+                    robot_time_s=clocks[0],
+                    host_time_ns=clocks[1],
+                    device_ticks=clocks[2],
+                    exposure_us=10_000.0,
+                    settle_s=0.4,
+                    sha256=digest,
+                )
+            )
             if index == missing:
                 picture.unlink()
         return path

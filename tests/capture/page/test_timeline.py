@@ -60,7 +60,22 @@ def recording_of(folder: Path, waits_s: list[float], angles: np.ndarray) -> Reco
     recording = Recording.create(folder / "r", {"trajectory": trajectory(count=3).model_dump(mode="json")})
     for i, (joints, clock) in enumerate(zip(angles, 50.0 + np.cumsum([0.0, *waits_s]), strict=True)):
         name, pose = f"{i:03d}", kinematics.forward(joints)
-        recording.append(Frame(i, name, "train", f"images/{name}.png", pose, joints, float(clock), 0, 0, 1e4, 0.3, ""))
+        recording.append(
+            Frame(
+                index=i,
+                name=name,
+                split="train",
+                image=f"images/{name}.png",
+                base_from_flange=pose,
+                joints=joints,
+                robot_time_s=float(clock),
+                host_time_ns=0,
+                device_ticks=0,
+                exposure_us=1e4,
+                settle_s=0.3,
+                sha256="",
+            )
+        )
     return recording
 
 

@@ -10,7 +10,18 @@ from koala3d.datasets.recording import Frame
 
 def frame(index, robot_time_s, host_s):
     return Frame(
-        index, f"{index:03d}", "train", "", np.eye(4), np.zeros(6), robot_time_s, round(host_s * 1e9), 0, 10_000.0, 0.2, ""
+        index=index,
+        name=f"{index:03d}",
+        split="train",
+        image="",
+        base_from_flange=np.eye(4),
+        joints=np.zeros(6),
+        robot_time_s=robot_time_s,
+        host_time_ns=round(host_s * 1e9),
+        device_ticks=0,
+        exposure_us=10_000.0,
+        settle_s=0.2,
+        sha256="",
     )
 
 

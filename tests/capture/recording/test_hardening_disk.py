@@ -17,7 +17,7 @@ from koala3d.capture.model.trajectory import Trajectory
 from koala3d.capture.planning import PlannedView
 from koala3d.capture.recording import recorder
 from koala3d.capture.recording.recorder import record
-from koala3d.capture.rig.opening import Rig
+from koala3d.capture.rig.rig import Rig
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import KoalaError
 from koala3d.datasets.recording import Recording

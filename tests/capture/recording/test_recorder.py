@@ -14,7 +14,7 @@ from koala3d.capture.model.trajectory import Trajectory, load_trajectory
 from koala3d.capture.planning import plan
 from koala3d.capture.recording.check import check
 from koala3d.capture.recording.recorder import record
-from koala3d.capture.rig.opening import Rig
+from koala3d.capture.rig.rig import Rig
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.imaging import images

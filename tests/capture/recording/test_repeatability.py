@@ -7,7 +7,8 @@ import pytest
 
 from koala3d.capture.model.trajectory import load_trajectory
 from koala3d.capture.recording.recorder import record
-from koala3d.capture.rig.opening import open_rig, write_simulated_rig
+from koala3d.capture.rig.controllers import write_simulated_rig
+from koala3d.capture.rig.opening import open_rig
 from koala3d.capture.sim.controller.process import SimulatedController
 from koala3d.datasets import pose
 from koala3d.datasets.core import files

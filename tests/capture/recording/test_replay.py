@@ -50,7 +50,20 @@ def recording(tmp_path):
     for index, view in enumerate(plan(trajectory, description.flange_from_camera.matrix())[:4]):
         reached = kinematics.forward(view.joints)
         made.append(
-            Frame(index, view.viewpoint.name, "train", f"images/{index}.png", reached, view.joints, 0.0, 0, 0, 1e4, 0.3, "")
+            Frame(
+                index=index,
+                name=view.viewpoint.name,
+                split="train",
+                image=f"images/{index}.png",
+                base_from_flange=reached,
+                joints=view.joints,
+                robot_time_s=0.0,
+                host_time_ns=0,
+                device_ticks=0,
+                exposure_us=1e4,
+                settle_s=0.3,
+                sha256="",
+            )
         )
         truth[view.viewpoint.name] = (reached @ MOUNT).tolist()
     files.write_json(made.path / "truth" / "poses.json", {"flange_from_camera": MOUNT.tolist(), "base_from_camera": truth})

@@ -17,7 +17,8 @@ from koala3d.capture.model.trajectory import Trajectory, load_trajectory
 from koala3d.capture.planning import PlannedView, plan
 from koala3d.capture.recording.growing import GrowingRecording
 from koala3d.capture.recording.recorder import record
-from koala3d.capture.rig.opening import Rig, describe
+from koala3d.capture.rig.naming import describe
+from koala3d.capture.rig.rig import Rig
 from koala3d.datasets.core.errors import KoalaError, UsageError
 from koala3d.datasets.recording import FRAMES, MANIFEST, Recording
 

@@ -10,7 +10,9 @@ from koala3d.capture.model.rig import load_rig, recorded_carrier
 from koala3d.capture.model.trajectory import Trajectory, load_trajectory
 from koala3d.capture.planning import plan
 from koala3d.capture.recording.replay import replay, summary
-from koala3d.capture.rig.opening import controller_model, describe, open_arm
+from koala3d.capture.rig.arms import open_arm
+from koala3d.capture.rig.controllers import controller_model
+from koala3d.capture.rig.naming import describe
 from koala3d.datasets import pose
 from koala3d.datasets.build import build
 from koala3d.datasets.calibration import Calibration, UncertainPose

@@ -18,8 +18,8 @@ from koala3d.capture.drivers.measurements import Image
 from koala3d.capture.model.device import Device
 from koala3d.capture.model.trajectory import CameraSettings, load_trajectory
 from koala3d.capture.rig import contract
+from koala3d.capture.rig.cameras import camera_for
 from koala3d.capture.rig.contract import CONTRACT, KEYS, Broken, Subject, check
-from koala3d.capture.rig.opening import camera_for
 from koala3d.datasets.imaging import images
 
 SMALL = CameraSettings(width=64, height=48, binning=4, exposure_us=2000)

@@ -93,7 +93,7 @@ def _record(sources: Path, folder: Path, report: Report = lambda name: None) -> 
     from koala3d.capture.model.trajectory import load_trajectory
     from koala3d.capture.planning import plan
     from koala3d.capture.recording.recorder import record
-    from koala3d.capture.rig.opening import Rig
+    from koala3d.capture.rig.rig import Rig
 
     trajectory = load_trajectory("koala_demo", overrides=THREE)
     both = Rigged()
@@ -155,7 +155,18 @@ def sources_of_scene(folder: Path) -> None:
         matrix = pose.look_at((np.cos(number), np.sin(number), 0.5), (0, 0, 0))
         recording.append(
             Frame(
-                number, f"{number}", "train", f"images/{number}.png", matrix, np.zeros(6), 0.0, 0, 0, 1e4, 0.1, files.sha256(path)
+                index=number,
+                name=f"{number}",
+                split="train",
+                image=f"images/{number}.png",
+                base_from_flange=matrix,
+                joints=np.zeros(6),
+                robot_time_s=0.0,
+                host_time_ns=0,
+                device_ticks=0,
+                exposure_us=1e4,
+                settle_s=0.1,
+                sha256=files.sha256(path),
             )
         )
     known = UncertainPose(np.eye(4), 1e-8 * np.eye(6))

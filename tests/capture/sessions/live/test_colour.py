@@ -8,7 +8,8 @@ import pytest
 from koala3d.capture.model.trajectory import Trajectory, load_trajectory
 from koala3d.capture.recording.check import check
 from koala3d.capture.recording.recorder import record
-from koala3d.capture.rig.opening import open_camera, open_rig
+from koala3d.capture.rig.cameras import camera_for
+from koala3d.capture.rig.opening import open_rig
 from koala3d.capture.sessions.live.bench import errors, lines
 from koala3d.capture.sessions.live.flat import measured, statistics
 from koala3d.datasets import pose
@@ -56,9 +57,9 @@ def recorded(tmp_path_factory) -> tuple[Path, Path]:
     """A recording of the card with a bracket of 12 bits, and the flat field that it refers to."""
     folder = tmp_path_factory.mktemp("recorded")
     trajectory = session("bayer12", "camera.brackets=2", "camera.exposure_us=30000", "camera.bracket_factor=6")
-    with open_camera("sim_flawed", trajectory.model_copy(update={"camera": session("bayer12").camera}), scene="lens_cap") as dark:
+    with camera_for("sim_flawed", trajectory.model_copy(update={"camera": session("bayer12").camera}), scene="lens_cap") as dark:
         black = statistics(dark, 8, nothing)
-    with open_camera("sim_flawed", session("bayer12"), scene="grey_card") as camera:
+    with camera_for("sim_flawed", session("bayer12"), scene="grey_card") as camera:
         measured(camera, black, statistics(camera, 8, nothing)).save(folder / "flat.npz")
     options = {"scene": "grey_card", "seed": 0, "time_scale": 200.0, "radiometry": folder / "flat.npz"}
     with open_rig("sim_flawed", trajectory, **options) as rig:

@@ -4,7 +4,7 @@ import pytest
 from koala3d.capture.drivers.measurements import Image
 from koala3d.capture.model.flaws import Flaws, lamp_light
 from koala3d.capture.model.trajectory import load_trajectory
-from koala3d.capture.rig.opening import open_camera
+from koala3d.capture.rig.cameras import camera_for
 from koala3d.capture.sessions.live.analysis import Look, Part
 from koala3d.capture.sessions.live.balance import white_balance
 from koala3d.capture.sessions.live.flicker import FREQUENCIES_HZ, Flicker, burst, flicker
@@ -51,14 +51,14 @@ def test_steady_light_does_not_flicker():
 def test_a_burst_of_the_emulated_camera_shows_the_lamps(tmp_path):
     (tmp_path / "rig.yaml").write_text("simulation: {flaws: {flicker: 0.25, flicker_hz: 120}}")
     session = load_trajectory("koala_demo", overrides=[*SMALL, "camera.exposure_us=3000"])
-    with open_camera(str(tmp_path / "rig.yaml"), session, scene="grey_card") as camera:
+    with camera_for(str(tmp_path / "rig.yaml"), session, scene="grey_card") as camera:
         found = flicker(*burst(camera, Part(8, 8, 56, 40), 24))
     assert found.is_seen and found.hz == 120 and found.of_lamps == pytest.approx(0.25, rel=0.1)
 
 
 def test_a_suggested_exposure_is_right_and_stays_so():
     session = load_trajectory("koala_demo", overrides=[*SMALL, "camera.exposure_us=2000"])
-    with open_camera("sim", session, scene="grey_card") as camera:
+    with camera_for("sim", session, scene="grey_card") as camera:
         part = Part.middle(64, 48)
         dark = Look.at(camera.grab(), part)
         camera.set_exposure(dark.suggested_us)
@@ -83,7 +83,7 @@ def test_focus_falls_with_blur():
 
 def test_a_stored_balance_belongs_to_its_camera(tmp_path):
     session = load_trajectory("koala_demo", overrides=[*SMALL, "camera.pixel_format=bayer12"])
-    with open_camera("sim_flawed", session, scene="grey_card") as camera:
+    with camera_for("sim_flawed", session, scene="grey_card") as camera:
         found = white_balance(camera, Part.middle(64, 48))
         found.save(tmp_path / "balance.npz")
         Response.load(tmp_path / "balance.npz").require(camera.description(), where="balance.npz")

@@ -8,7 +8,8 @@ import pytest
 
 from koala3d.capture.drivers.errors import CaptureError
 from koala3d.capture.model.trajectory import Trajectory, load_trajectory
-from koala3d.capture.rig.opening import Rig, open_rig
+from koala3d.capture.rig.opening import open_rig
+from koala3d.capture.rig.rig import Rig
 from koala3d.capture.sessions.live.jog import Jog
 from koala3d.capture.sessions.live.outline import COLOUR, Outline
 from koala3d.datasets import pose
