@@ -2,13 +2,13 @@
 
 from pathlib import Path
 
-from koala3d.capture.cli import calibrate, coverage, doctor, flat, look, plan, recording, rig, run, view
+from koala3d.capture.cli import calibrate, doctor, flat, look, plan, recording, run, sim, view
 from koala3d.datasets.core import console
 
 app = console.make_app("capture", "Move a robot and a camera along a trajectory, real or simulated, and make a recording.")
 
 
-@app.command("list")
+@app.command("list", panel=console.LOOK)
 def list_command(as_json: console.Json = False) -> None:
     """List the installed trajectories, calibration targets, rigs and arms, and the scenes of the simulation."""
     from koala3d import configs
@@ -23,22 +23,14 @@ def list_command(as_json: console.Json = False) -> None:
     console.report({**found, "folder": folder}, as_json=as_json, text="\n".join([*lines, f"files: {folder}"]))
 
 
-app.command()(plan.plan)
-app.command()(run.run)
-app.command()(calibrate.calibrate)
-app.command()(coverage.coverage)
-app.command()(view.view)
-app.command()(recording.check)
-app.command()(view.report)
-app.command()(recording.replay)
-app.command()(rig.sim)
-app.command("test-camera")(rig.check_camera)
-app.command()(doctor.doctor)
-app.command()(recording.bench)
-app.command("bench-calibrate")(calibrate.bench_calibrate)
-app.command()(look.look)
-app.command()(flat.flat)
-app.command("bench-colour")(flat.bench_colour)
+for panel, commands in {
+    console.MAIN: (plan.plan, run.run, calibrate.calibrate),
+    console.LOOK: (view.view, look.look),
+    console.CHECK: (doctor.doctor, recording.check, recording.replay),
+    console.STUDY: (flat.flat, sim.sim),
+}.items():
+    for command in commands:
+        app.command(panel=panel)(command)
 
 
 def main() -> None:

@@ -1,15 +1,14 @@
-"""The commands `calibrate` and `bench-calibrate`."""
+"""The command `calibrate`."""
 
 from pathlib import Path
 from typing import Annotated
 
 from typer import Argument, Option
 
-from koala3d.capture.cli.options import RigName, Settings, TakeOver, TimeScale
+from koala3d.capture.cli.options import RigName, Scene, Seed, Settings, TakeOver, TimeScale
 from koala3d.datasets.core import console
 
-UntilMm = Annotated[float, Option("--until-mm", min=1e-4, help="Wanted error of the camera's place on the flange [mm].")]
-UntilDeg = Annotated[float, Option("--until-deg", min=1e-5, help="Wanted error of its orientation [deg].")]
+GOAL, ARM = "When it ends", "Arm and lens"
 Room = Annotated[
     Path, Argument(metavar="[TRAJECTORY]", help="Trajectory with the target, the settings, and views where the camera may be.")
 ]
@@ -19,14 +18,26 @@ def calibrate(
     out: Annotated[Path, Option("--out", metavar="SESSION", help="New recording to write, or with --resume an existing one.")],
     trajectory: Room = Path("calibration"),
     rig: RigName = "sim",
-    until_mm: UntilMm = 0.05,
-    until_deg: UntilDeg = 0.01,
-    max_views: Annotated[int, Option("--max-views", min=5, max=999, help="Largest number of views.")] = 80,
-    arm_mm: Annotated[float, Option("--arm-mm", min=1e-6, help="The arm's stated position accuracy per axis [mm].")] = 0.05,
-    arm_deg: Annotated[float, Option("--arm-deg", min=1e-6, help="The arm's stated orientation accuracy per axis [deg].")] = 0.01,
-    lens: Annotated[str, Option("--lens", help="Lens model: auto, brown, rational, fisheye or splined.")] = "auto",
-    scene: Annotated[str, Option(help="Simulation only: a scene of 'capture list'.")] = "",
-    seed: Annotated[int, Option(min=0, help="Simulation only: random seed; the same seed is the same rig.")] = 0,
+    until_mm: Annotated[
+        float, Option("--until-mm", min=1e-4, help="Wanted error of the camera's place on the flange [mm].", rich_help_panel=GOAL)
+    ] = 0.05,
+    until_deg: Annotated[
+        float, Option("--until-deg", min=1e-5, help="Wanted error of its orientation [deg].", rich_help_panel=GOAL)
+    ] = 0.01,
+    max_views: Annotated[int, Option("--max-views", min=5, max=999, help="Largest number of views.", rich_help_panel=GOAL)] = 80,
+    arm_mm: Annotated[
+        float,
+        Option("--arm-mm", min=1e-6, help="Error of the flange's place, standard deviation per axis [mm].", rich_help_panel=ARM),
+    ] = 0.05,
+    arm_deg: Annotated[
+        float,
+        Option("--arm-deg", min=1e-6, help="Error of its orientation, standard deviation per axis [deg].", rich_help_panel=ARM),
+    ] = 0.01,
+    lens: Annotated[
+        str, Option("--lens", help="Lens model: auto, brown, rational, fisheye or splined.", rich_help_panel=ARM)
+    ] = "auto",
+    scene: Scene = "",
+    seed: Seed = 0,
     time_scale: TimeScale = 20.0,
     resume: Annotated[bool, Option("--resume", help="Continue an interrupted session.")] = False,
     take_over: TakeOver = False,
@@ -35,8 +46,9 @@ def calibrate(
 ) -> None:
     """Calibrate camera and mount with views that the session chooses itself.
 
-    After each view the rig is estimated, and the reachable view that tells most is taken next. Ends when both errors are below
-    the wanted ones with 95 % certainty, or when no view helps. Ctrl-C stops the arm and keeps the views; --resume continues.
+    After each view camera and mount are estimated, and the reachable view that improves them most is next. The session ends when
+    both errors are below the wanted ones with 95 % certainty, or when no view helps. Ctrl-C stops the arm and keeps the views;
+    --resume continues.
     """
     from koala3d.capture.model.trajectory import load_trajectory
     from koala3d.capture.sessions.calibrate import session
@@ -59,29 +71,3 @@ def calibrate(
         remedy = f"the same command with --resume continues in {out}" if out.exists() else "nothing was written"
         raise KoalaError("stopped by Ctrl-C, the arm stands still", where=out, remedy=remedy) from None
     console.report(session.facts(out, outcome, goal), as_json=as_json, text=session.describe(out, outcome, goal))
-
-
-def bench_calibrate(
-    out: Annotated[Path, Option("--out", metavar="FOLDER", help="New folder to write: bench.csv, bench.md, bench.png.")],
-    rigs: Annotated[int, Option("--rigs", min=2, max=1000, help="Number of simulated rigs.")] = 50,
-    workers: Annotated[int, Option("--workers", min=1, max=64, help="Rigs simulated at a time.")] = 2,
-    until_mm: UntilMm = 0.06,
-    until_deg: UntilDeg = 0.022,
-    as_json: console.Json = False,
-) -> None:
-    """Compare sessions that choose their views with the 25 fixed views, on simulated rigs.
-
-    Pure geometry: arm, planner and noise as in the simulator, no pictures.
-    """
-    from koala3d.capture.sessions.calibrate import bench, bench_report
-    from koala3d.datasets.core.files import refuse_existing
-
-    refuse_existing(out)
-    with console.progress("rehearsing", rigs, "rigs") as bar:
-        found = bench.run(rigs, workers, (until_mm, until_deg), done=bar.advance)
-    summary = bench_report.write(out, found, (until_mm, until_deg))
-    console.report(
-        {"out": str(out), **bench_report.plain(summary)},
-        as_json=as_json,
-        text=f"{bench_report.describe(summary)}\nwritten to {out}",
-    )

@@ -1,4 +1,4 @@
-"""Commands that measure the response of the camera, and how right colours are afterwards."""
+"""The command `flat`: measures the response of the camera."""
 
 from pathlib import Path
 from typing import Annotated
@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 from typer import Option
 
-from koala3d.capture.cli.options import RigName, Settings, TrajectoryName
+from koala3d.capture.cli.options import RigName, Seed, Settings, TrajectoryName
 from koala3d.datasets.core import console
 
 
@@ -15,14 +15,13 @@ def flat(
     out: Annotated[Path, Option(metavar="FLAT.npz", help="New file to write.")],
     rig: RigName = "sim",
     frames: Annotated[int, Option(min=2, max=1000, help="Pictures of the card, and of darkness.")] = 32,
-    seed: Annotated[int, Option(min=0, help="Simulation only: random seed, that of the recordings.")] = 0,
-    wait: Annotated[bool, Option("--wait/--no-wait", help="Ask before each series; a simulation never asks.")] = True,
+    seed: Seed = 0,
     settings: Settings = None,
     as_json: console.Json = False,
 ) -> None:
     """Measure black level, flat field, hot pixels, white balance and noise of the camera. The arm is not used.
 
-    The camera takes the settings of the trajectory. Cover the lens, then hold an evenly lit grey card before it."""
+    The camera takes the settings of the trajectory. Cover the lens, then hold an evenly lit grey card in front of it."""
     from koala3d.capture.model.trajectory import load_trajectory
     from koala3d.capture.rig.cameras import camera_for
     from koala3d.capture.rig.naming import describe, is_simulated
@@ -31,7 +30,7 @@ def flat(
 
     refuse_existing(out)
     session = load_trajectory(trajectory, overrides=settings)
-    ask = wait and not is_simulated(rig, describe(rig))
+    ask = not is_simulated(rig, describe(rig))
     series = {"lens_cap": "cover the lens", "grey_card": "fill the picture with an evenly lit grey card, out of focus"}
     found = []
     for scene, request in series.items():
@@ -46,19 +45,3 @@ def flat(
     content = {"out": out, "black": result.black, "balance": result.balance, "hot": len(result.hot)}
     content |= {"read": result.read, "shot": result.shot, "serial": result.serial, "pixel_format": result.pixel_format}
     console.report(content, as_json=as_json, text=words(result, out))
-
-
-def bench_colour(
-    trajectory: TrajectoryName = Path("koala_demo"),
-    rig: RigName = "sim_flawed",
-    frames: Annotated[int, Option(min=2, max=1000, help="Pictures of the card, and of darkness.")] = 32,
-    settings: Settings = None,
-    as_json: console.Json = False,
-) -> None:
-    """Measure the colour error of a grey card on a simulated rig, with and without correction, at four brightnesses."""
-    from koala3d.capture.model.trajectory import load_trajectory
-    from koala3d.capture.sessions.live.bench import errors, lines
-
-    with console.progress("bench", 2 * frames + 4, "pictures") as shown:
-        found = errors(load_trajectory(trajectory, overrides=settings), rig, frames, shown.advance)
-    console.report({"cards": [vars(one) for one in found]}, as_json=as_json, text="\n".join(lines(found)))

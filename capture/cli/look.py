@@ -1,4 +1,4 @@
-"""The command that shows the live picture and what it says."""
+"""The command `look`: shows the live picture and what it says."""
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -7,31 +7,51 @@ from typing import Annotated, Any
 
 from typer import Option
 
-from koala3d.capture.cli.options import RigName, Settings, TakeOver, TrajectoryName
+from koala3d.capture.cli.options import RigName, Scene, Settings, TakeOver, TrajectoryName
 from koala3d.datasets.core import console
 
+ONCE, ARM = "Without the page", "With the arm"
+BURST = 40
+"""Pictures of the burst that shows flicker."""
 TIME_SCALE = 20.0
 """Speed of a simulated arm, as in 'capture run'."""
+
+
+Once = Annotated[
+    bool, Option("--once", help="Print the figures of one picture and a burst, without the page.", rich_help_panel=ONCE)
+]
+Picture = Annotated[
+    Path | None,
+    Option(metavar="LOOK.png", help="With --once: also write the marked picture.", rich_help_panel=ONCE),
+]
+Balance = Annotated[
+    Path | None,
+    Option(metavar="FLAT.npz", help="New file for the white balance of a grey card in the middle of the picture."),
+]
+Arm = Annotated[
+    bool, Option("--arm", help="Connect the arm too; the page moves it to views of the trajectory.", rich_help_panel=ARM)
+]
+Go = Annotated[str | None, Option("--go", metavar="VIEW", help="First move the arm to this view.", rich_help_panel=ARM)]
+Box = Annotated[
+    Path | None,
+    Option(
+        metavar="CALIBRATION.json",
+        help="Draw the object's box as this calibration sees it from where the arm is.",
+        rich_help_panel=ARM,
+    ),
+]
 
 
 def look(
     trajectory: TrajectoryName = Path("koala_demo"),
     rig: RigName = "sim",
-    once: Annotated[bool, Option("--once", help="Print the figures of one picture and a burst, without the page.")] = False,
-    region: Annotated[
-        str | None, Option(metavar="X,Y,W,H", help="Region for focus, exposure and balance [px]. Default: half, in the middle.")
-    ] = None,
-    burst: Annotated[int, Option(min=8, max=1000, help="Pictures of the burst that shows flicker.")] = 40,
-    balance: Annotated[
-        Path | None, Option(metavar="FLAT.npz", help="New file for the white balance of a grey card in the region.")
-    ] = None,
-    picture: Annotated[Path | None, Option(metavar="LOOK.png", help="With --once: also write the marked picture.")] = None,
-    scene: Annotated[str, Option(help="Simulation only: a scene of 'capture list'. Default: one that fits.")] = "",
-    arm: Annotated[bool, Option("--arm", help="Connect the arm too; the page moves it to views of the trajectory.")] = False,
-    go: Annotated[str | None, Option("--go", metavar="VIEW", help="First move the arm to this view.")] = None,
-    calibration: Annotated[
-        Path | None, Option(metavar="CALIBRATION.json", help="With the arm: draw the object's box as this calibration sees it.")
-    ] = None,
+    once: Once = False,
+    picture: Picture = None,
+    balance: Balance = None,
+    scene: Scene = "",
+    arm: Arm = False,
+    go: Go = None,
+    calibration: Box = None,
     take_over: TakeOver = False,
     port: console.Port = 8080,
     settings: Settings = None,
@@ -52,7 +72,7 @@ def look(
     session, description = load_trajectory(trajectory, overrides=settings), describe(rig)
     scene = scene_for(rig, scene, session) if is_simulated(rig, description) else ""
     width, height = session.camera.width, session.camera.height
-    part = Part.middle(width, height) if region is None else Part.parse(region, width, height)
+    part = Part.middle(width, height)
     stored = description.camera.radiometry
     with ExitStack() as stack:
         camera, jog = stack.enter_context(_opened(rig, session, scene, arm or go is not None, take_over))
@@ -61,14 +81,14 @@ def look(
             jog.go(go)
         if once:
             box = (jog, outline) if jog is not None and outline is not None else None
-            found, lines = _once(camera, part, burst, balance, picture, stored, box)
+            found, lines = _once(camera, part, balance, picture, stored, box)
             console.report(found, as_json=as_json, text="\n".join(lines))
             return
         from koala3d.capture.page.look import LookPage
         from koala3d.datasets.page import open_page
 
         page = stack.enter_context(open_page(f"{session.name}, live", port))
-        live = LookPage(page, camera, part, burst=burst, balance=balance, stored=stored, jog=jog, outline=outline)
+        live = LookPage(page, camera, part, burst=BURST, balance=balance, stored=stored, jog=jog, outline=outline)
         console.report({"url": page.url}, as_json=as_json, text=f"{page.url} shows the live picture; Ctrl-C ends it")
         page.wait()
         live.end()
@@ -106,7 +126,7 @@ def _outline(path: Path | None, session: Any, camera: Any, jog: Any) -> Any:
 
 
 def _once(
-    camera: Any, part: Any, burst: int, balance: Path | None, picture: Path | None, stored: str, box: Any
+    camera: Any, part: Any, balance: Path | None, picture: Path | None, stored: str, box: Any
 ) -> tuple[dict[str, Any], list[str]]:
     """The figures for a program, and for a person."""
     from koala3d.capture.sessions.live import flicker
@@ -115,8 +135,8 @@ def _once(
 
     image = camera.grab()
     seen = Look.at(image, part)
-    with console.progress("burst", burst, "pictures") as shown:
-        found = flicker.flicker(*flicker.burst(camera, part, burst, shown.advance, stored_response(camera, stored)))
+    with console.progress("burst", BURST, "pictures") as shown:
+        found = flicker.flicker(*flicker.burst(camera, part, BURST, shown.advance, stored_response(camera, stored)))
     content: dict[str, Any] = {"region": vars(part), "look": vars(seen)}
     content["flicker"] = {**vars(found), "seen": found.is_seen, "of_lamps": found.of_lamps, "quiet_us": found.quiet_us}
     lines = [*seen.lines, found.line]

@@ -5,6 +5,8 @@ from typing import Annotated
 
 from typer import Argument, Option
 
+SIMULATION = "Simulation"
+"""Panel of options that mean nothing to a real rig."""
 TrajectoryName = Annotated[
     Path, Argument(metavar="TRAJECTORY", help="A trajectory: its name, as 'capture list' shows it, or a YAML file.")
 ]
@@ -16,14 +18,21 @@ RigName = Annotated[
     str,
     Option(
         metavar="RIG",
-        help="'sim' for the simulated rig, a rig by name ('capture list') or file, or 'sim:' and either: its simulation.",
+        help="A rig: a name that 'capture list' shows, or a YAML file. 'sim' is the simulated rig, 'sim:RIG' simulates another.",
     ),
 ]
-TimeScale = Annotated[float, Option(min=0.1, max=1000, help="Simulation only: speed of the arm relative to real time.")]
-TakeOver = Annotated[bool, Option("--take-over", help="End a program that runs on the robot; else it is left alone.")]
+Scene = Annotated[
+    str, Option(help="A scene of 'capture list'. Default: one that fits the trajectory.", rich_help_panel=SIMULATION)
+]
+Seed = Annotated[int, Option(min=0, help="Random seed; the same seed is the same rig.", rich_help_panel=SIMULATION)]
+TimeScale = Annotated[
+    float, Option(min=0.1, max=1000, help="Speed of the arm relative to real time.", rich_help_panel=SIMULATION)
+]
+TakeOver = Annotated[
+    bool, Option("--take-over", help="End the program that runs on the robot's controller. Default: refuse to start.")
+]
 CalibrationFile = Annotated[
-    Path | None,
-    Option("--calibration", metavar="CALIBRATION.json", help="Camera and mount as they were calibrated: what pictures show."),
+    Path | None, Option("--calibration", metavar="CALIBRATION.json", help="Calibration file, which says what the pictures show.")
 ]
 MeshScale = Annotated[
     float, Option("--mesh-scale", min=1e-6, max=1000, help="Metres per unit of the mesh: 0.001 for millimetres.")

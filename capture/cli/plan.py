@@ -12,8 +12,48 @@ from koala3d.datasets.core import console
 if TYPE_CHECKING:
     from koala3d.capture.model.carrier import Carrier
     from koala3d.capture.model.trajectory import Trajectory
+    from koala3d.capture.planning import PlannedView
 
 DEFAULT = Path("koala")  # with --for-mesh
+SHAPE = "A known shape"
+
+
+Coverage = Annotated[
+    Path | None,
+    Option(
+        "--coverage",
+        metavar="MESH",
+        help="Print the share of this mesh (base frame) that three training views see at 60 degrees or less.",
+        rich_help_panel=SHAPE,
+    ),
+]
+ForMesh = Annotated[
+    Path | None,
+    Option(
+        "--for-mesh",
+        metavar="MESH",
+        help="Choose the views that cover this mesh (base frame); the trajectory says where the camera may be.",
+        rich_help_panel=SHAPE,
+    ),
+]
+Out = Annotated[
+    Path | None,
+    Option("--out", metavar="NEW.yaml", help="With --for-mesh: write these views as a new trajectory.", rich_help_panel=SHAPE),
+]
+Views = Annotated[
+    int | None,
+    Option("--views", min=1, max=999, help="With --for-mesh: largest number of training views.", rich_help_panel=SHAPE),
+]
+UntilCoverage = Annotated[
+    float | None,
+    Option(
+        "--until-coverage",
+        min=0.0,
+        max=1.0,
+        help="With --for-mesh: end at this share of the surface within reach. Default: 1.",
+        rich_help_panel=SHAPE,
+    ),
+]
 
 
 def plan(
@@ -27,22 +67,11 @@ def plan(
     rig: RigName = "sim",
     plot: Annotated[Path | None, Option(metavar="PLAN.png", help="Draw views, paths and joint angles.")] = None,
     page: Annotated[Path | None, Option(metavar="PLAN.html", help="Write a page with the plan in 3D.")] = None,
-    for_mesh: Annotated[
-        Path | None,
-        Option(
-            "--for-mesh",
-            metavar="MESH",
-            help="Choose the views that cover this shape; the trajectory says where the camera may be.",
-        ),
-    ] = None,
-    out: Annotated[
-        Path | None, Option("--out", metavar="NEW.yaml", help="With --for-mesh: write these views as a new trajectory.")
-    ] = None,
-    views: Annotated[int | None, Option("--views", min=1, max=999, help="With --for-mesh: most training views.")] = None,
-    until_coverage: Annotated[
-        float | None,
-        Option("--until-coverage", min=0.0, max=1.0, help="With --for-mesh: share of the surface within reach. Default: 1."),
-    ] = None,
+    coverage: Coverage = None,
+    for_mesh: ForMesh = None,
+    out: Out = None,
+    views: Views = None,
+    until_coverage: UntilCoverage = None,
     mesh_scale: MeshScale = 1.0,
     calibration: CalibrationFile = None,
     settings: Settings = None,
@@ -50,17 +79,21 @@ def plan(
 ) -> None:
     """Check that the arm can take every view, and estimate how long that takes. Nothing moves.
 
-    With --for-mesh, views are chosen: few within reach that show every place of a known shape three times at 60 degrees or less,
-    from directions that differ.
+    With --for-mesh it chooses few views that show every place of a known shape three times, at 60 degrees or less and from
+    directions that differ.
     """
     from koala3d.capture.model.trajectory import load_trajectory
+    from koala3d.capture.planning import plan as plan_session
     from koala3d.capture.rig.naming import describe
     from koala3d.datasets.core.errors import UsageError
     from koala3d.datasets.core.files import refuse_existing
 
-    needless = {"--out": out, "--views": views, "--until-coverage": until_coverage, "--calibration": calibration}
+    needless = {"--out": out, "--views": views, "--until-coverage": until_coverage}
+    needless |= {} if coverage is not None else {"--calibration": calibration}
     if given := [name for name, value in needless.items() if value is not None and for_mesh is None]:
         raise UsageError("is for a known shape", where=given[0], remedy="add --for-mesh, or leave it out")
+    if coverage is not None and for_mesh is not None:
+        raise UsageError("is printed by --for-mesh as well", where="--coverage", remedy="leave it out")
     if trajectory is None and for_mesh is None:
         raise UsageError("no TRAJECTORY is given", remedy="name one of 'capture list', or a file")
     for path in (plot, page, out):
@@ -72,18 +105,26 @@ def plan(
     if for_mesh is not None:
         limits = (1.0 if until_coverage is None else until_coverage, views)
         session, words, found = _covering(session, mount, for_mesh, mesh_scale, limits, calibration, out)
-    text, planned = _planned(session, mount, plot, page)
-    console.report({**planned, **found}, as_json=as_json, text=f"{words}{text}")
+    planned = plan_session(session, mount)
+    text, facts = _described(session, mount, planned, plot, page)
+    if coverage is not None:
+        from koala3d.capture.sessions.adaptive import coverage as measured
+        from koala3d.datasets.calibration import Calibration
+
+        known = None if calibration is None else Calibration.load(calibration)
+        shares = measured.of_plan(session, mount, planned, coverage, mesh_scale, known)
+        text, found = "\n".join([text, *measured.lines(shares)]), {"covered": shares[-1], "covered_after": shares}
+    console.report({**facts, **found}, as_json=as_json, text=f"{words}{text}")
 
 
-def _planned(session: "Trajectory", mount: "Carrier", plot: Path | None, page: Path | None) -> tuple[str, dict[str, Any]]:
-    """Plan a session, and draw it where that is asked for; what to report."""
+def _described(
+    session: "Trajectory", mount: "Carrier", planned: "list[PlannedView]", plot: Path | None, page: Path | None
+) -> tuple[str, dict[str, Any]]:
+    """What to report of a plan, which is drawn if that is asked for."""
     import numpy as np
 
     from koala3d.capture.planning import Obstacles, draw, duration
-    from koala3d.capture.planning import plan as plan_session
 
-    planned = plan_session(session, mount)
     seconds = duration(session, planned, mount.turntable)
     drawings = [(write, path) for write, path in ((draw.plot, plot), (draw.page, page)) if path is not None]
     for write, path in drawings:
@@ -108,7 +149,7 @@ def _covering(
     calibration: Path | None,
     out: Path | None,
 ) -> tuple["Trajectory", str, dict[str, Any]]:
-    """The trajectory that covers a mesh, written where that is asked for; what to report of it."""
+    """The trajectory that covers a mesh, written if that is asked for, and what to report of it."""
     from koala3d.capture.sessions.adaptive.candidates import dense
     from koala3d.capture.sessions.adaptive.known_shape import cover, surface_of, write
     from koala3d.capture.sessions.adaptive.loop import LEAST, MOST

@@ -1,4 +1,4 @@
-"""Commands for a finished recording, and the benchmark of the capture loop: check, replay, bench."""
+"""Commands for a finished recording: check, replay."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -6,13 +6,32 @@ from typing import Annotated, Any
 import typer
 from typer import Option
 
-from koala3d.capture.cli.options import Recorded, RigName, TimeScale
+from koala3d.capture.cli.options import CalibrationFile, MeshScale, Recorded, RigName, TimeScale
 from koala3d.datasets.core import console
+
+COVERAGE = "Coverage of a known shape"
 
 
 def check(
     recording: Recorded,
     discard: Annotated[bool, Option("--discard", help="Remove bad views; 'capture run --resume' retakes them.")] = False,
+    page: Annotated[
+        Path | None,
+        Option(
+            "--page", metavar="PAGE.html", help="Also write an HTML report: exposure, sharpness and joints over time, pictures."
+        ),
+    ] = None,
+    coverage: Annotated[
+        Path | None,
+        Option(
+            "--coverage",
+            metavar="MESH",
+            help="Also print the share of this mesh (base frame) that three training views see at 60 degrees or less.",
+            rich_help_panel=COVERAGE,
+        ),
+    ] = None,
+    mesh_scale: MeshScale = 1.0,
+    calibration: CalibrationFile = None,
     as_json: console.Json = False,
 ) -> None:
     """Verify a recording: hashes, counts, clocks, exposure, sharpness. Lists the views to retake; exit code 1 with findings."""
@@ -21,8 +40,20 @@ def check(
 
     opened = Recording.open(recording)
     frames = len(opened.frames)
-    with console.progress("check", frames, "views") as shown:
-        findings = check.check(recording, done=shown.show)
+    shares, covered = [], []
+    if coverage is not None:
+        from koala3d.capture.sessions.adaptive import coverage as measured
+        from koala3d.datasets.calibration import Calibration
+
+        shares = measured.of_recording(recording, coverage, mesh_scale, calibration and Calibration.load(calibration))
+        covered = measured.lines(shares)
+    with console.progress("check", frames, "pictures") as shown:
+        if page is None:
+            findings = check.check(recording, done=shown.show)
+        else:
+            from koala3d.capture.page.report import write
+
+            findings = write(recording, page, made_by=console.command_line(), done=shown.show)
     again = check.to_take_again(findings)
     discarded = opened.discard(again) if discard else []
     good = all(finding.note for finding in findings)
@@ -33,9 +64,9 @@ def check(
         lines.append(f"retake: {', '.join(again)}")
         removed = f"removed: {', '.join(discarded)}; the command that made the recording retakes them with --resume"
         lines.append(removed if discard else "'capture check --discard' removes them, and 'capture run --resume' retakes them")
-    found: dict[str, Any] = {"recording": str(recording), "frames": frames}
+    found: dict[str, Any] = {"recording": str(recording), "frames": frames, "page": page, "covered_after": shares}
     found |= {"findings": [vars(finding) for finding in findings], "take_again": again, "discarded": discarded}
-    console.report(found, as_json=as_json, text="\n".join(lines))
+    console.report(found, as_json=as_json, text="\n".join([*lines, *covered, *([str(page)] if page is not None else [])]))
     if not good:
         raise typer.Exit(1)
 
@@ -73,26 +104,3 @@ def replay(
         files.write_json(out, {"format": "koala-replay", "version": 1, **content})
     lines = [*(f"view {one.frame}: {one.line}" for one in deviations), f"worst: {content['worst']}"]
     console.report(content, as_json=as_json, text="\n".join(lines))
-
-
-def bench(
-    out: Annotated[Path, Option(metavar="FOLDER", help="New folder for bench.json and settling.png.")],
-    frames: Annotated[int, Option(min=3, help="Number of frames to measure the overhead of the loop with.")] = 12,
-    exposure_us: Annotated[float, Option(min=100, help="Exposure time to measure the sharpness with [us].")] = 20_000.0,
-    as_json: console.Json = False,
-) -> None:
-    """Benchmark the simulated rig: sharpness against settling time, overhead of the capture loop, rate of robot states."""
-    from koala3d.capture.recording import bench
-    from koala3d.datasets.core import files
-
-    files.refuse_existing(out)
-    with console.progress("bench", 1 + frames + len(bench.DELAYS_S), "steps") as shown:
-        rate = bench.state_rate()
-        shown.advance()
-        overheads = bench.loop_overhead(frames, advance=lambda name: shown.advance())
-        points = bench.settle_curve(exposure_us=exposure_us, advance=lambda name: shown.advance())
-    found = bench.summary(points, overheads, rate)
-    with files.atomic_folder(out) as folder:
-        files.write_json(folder / "bench.json", {"format": "koala-capture-bench", "version": 1, **found})
-        bench.plot_settling(points, folder / "settling.png")
-    console.report(found, as_json=as_json, text="\n".join([*bench.lines(found), f"{out}: bench.json, settling.png"]))

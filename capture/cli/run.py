@@ -1,32 +1,48 @@
 """The command `run`: records the views of a trajectory, or views that the session chooses by what they add."""
 
+import os
+import signal
 import time
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Option
 
-from koala3d.capture.cli.options import CalibrationFile, RigName, Settings, TakeOver, TimeScale, TrajectoryName
-from koala3d.capture.cli.view import watched
+from koala3d.capture.cli.options import CalibrationFile, RigName, Scene, Seed, Settings, TakeOver, TimeScale, TrajectoryName
 from koala3d.datasets.core import console
 
 if TYPE_CHECKING:
+    from koala3d.capture.model.carrier import Mount
     from koala3d.capture.model.trajectory import Trajectory
+    from koala3d.capture.planning import PlannedView
     from koala3d.capture.sessions.adaptive.loop import Goal
     from koala3d.capture.sessions.start import Options
 
+CHOOSING = "Views that the session chooses"
 Adaptive = Annotated[
-    bool, Option("--adaptive", help="Choose the views by what they add; the trajectory says where the camera may be.")
+    bool,
+    Option(
+        "--adaptive",
+        help="Choose the views by what they add; the trajectory says where the camera may be.",
+        rich_help_panel=CHOOSING,
+    ),
 ]
 UntilCoverage = Annotated[
     float | None,
     Option(
-        "--until-coverage", min=0.0, max=1.0, help="With --adaptive: end where this share of the surface within reach is covered."
+        "--until-coverage",
+        min=0.0,
+        max=1.0,
+        help="End when three views at 60 degrees or less have seen this share of the surface within reach.",
+        rich_help_panel=CHOOSING,
     ),
 ]
-Views = Annotated[int | None, Option("--views", min=1, max=999, help="With --adaptive: end after this number of views.")]
-Minutes = Annotated[float | None, Option("--minutes", min=0.0, help="With --adaptive: end after this time of this command.")]
+Views = Annotated[int | None, Option("--views", min=1, max=999, help="End after this number of views.", rich_help_panel=CHOOSING)]
+Minutes = Annotated[
+    float | None, Option("--minutes", min=0.0, help="End after this time of this command.", rich_help_panel=CHOOSING)
+]
 
 
 def run(
@@ -38,12 +54,12 @@ def run(
     views: Views = None,
     minutes: Minutes = None,
     calibration: CalibrationFile = None,
-    scene: Annotated[str, Option(help="Simulation only: a scene of 'capture list'. Default: one that fits the trajectory.")] = "",
-    seed: Annotated[int, Option(min=0, help="Simulation only: random seed; the same seed is the same rig.")] = 0,
+    scene: Scene = "",
+    seed: Seed = 0,
     time_scale: TimeScale = 20.0,
     radiometry: Annotated[
         Path | None,
-        Option(metavar="FLAT.npz", help="File of 'capture flat' to keep with the recording. Default: the rig file's."),
+        Option(metavar="FLAT.npz", help="File of 'capture flat' to keep with the recording. Default: that of the rig file."),
     ] = None,
     resume: Annotated[bool, Option("--resume", help="Continue an interrupted recording.")] = False,
     take_over: TakeOver = False,
@@ -54,8 +70,8 @@ def run(
 ) -> None:
     """Record every view of a trajectory. Ctrl-C stops the arm and keeps the frames; --resume continues.
 
-    With --adaptive the session chooses its views: after a first look around, each is the one that shows most of the surface that
-    few views have seen and most new angles where colours change, less its travel.
+    With --adaptive the session first looks around. Then it takes the view that adds most each time: surface that few views have
+    seen, and new angles on places whose colour changes. Travel counts against a view.
     """
     from koala3d.capture.model.trajectory import load_trajectory
     from koala3d.capture.rig.naming import scene_for
@@ -128,7 +144,7 @@ def _every(session: "Trajectory", out: Path, options: "Options", port: int | Non
     planned = plan(session, mount)
     with ExitStack() as stack:
         if port is not None:
-            stack.enter_context(watched(out / description.name, session, mount, planned, port))
+            stack.enter_context(_watched(out / description.name, session, mount, planned, port))
         shown = stack.enter_context(console.progress("capture", len(planned), "views"))
         with options.opened(session, out) as opened:
 
@@ -141,3 +157,15 @@ def _every(session: "Trajectory", out: Path, options: "Options", port: int | Non
     found = {"recording": str(out), "frames": taken, "seconds": round(seconds, 2), "scene": options.scene or None}
     by = f" by each of {', '.join(cameras)}" if cameras else ""
     return {**found, "cameras": cameras}, f"{out}: {taken} views{by} in {seconds:.0f} s"
+
+
+@contextmanager
+def _watched(out: Path, session: "Trajectory", mount: "Mount", planned: "list[PlannedView]", port: int) -> Iterator[None]:
+    """A page that shows a recording while it is made. Its stop button does what Ctrl-C does."""
+    from koala3d.capture.page.view import watch
+    from koala3d.datasets.page import open_page
+
+    with open_page(session.name, port) as page:
+        watch(page, out, session, mount, planned, stop=lambda: os.kill(os.getpid(), signal.SIGINT))
+        console.hint(f"{page.url} shows the session")
+        yield

@@ -1,4 +1,4 @@
-"""What every camera driver must do, as checks that run on emulated cameras in the tests, on real ones by `capture test-camera`.
+"""What every camera driver must do, as checks: of emulated cameras in the tests, of real ones by `capture doctor --pictures`.
 
     subject = Subject(lambda settings: MyCamera(settings, serial="7"), CameraSettings(width=640, height=480))
     broken = check(subject)  # clause -> what is wrong; empty where the driver keeps the contract

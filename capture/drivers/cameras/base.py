@@ -28,8 +28,8 @@ class Seen:
 class CameraDriver(ABC):
     """One camera with the settings of a trajectory and of a rig file.
 
-    Lifecycle: the constructor does no I/O. Entering connects, writes every setting and reads it back; on any failure all is closed
-    again. Use as a context manager.
+    Use as a context manager. The constructor does no I/O. Entering connects, writes every setting and reads it back; on any
+    failure all is closed again.
     """
 
     busy = "close other programs that use it, or plug it in again"

@@ -18,7 +18,7 @@ DEFAULTS = "backlight_compensation brightness contrast gamma hue saturation shar
 
 
 class OptionNodes:
-    """Options of opened sensors as `capture.drivers.cameras.nodes.Nodes`; the depth sensor's have `depth.` in front of the name."""
+    """`capture.drivers.cameras.nodes.Nodes` of opened sensors. Options of the depth sensor begin with `depth.`."""
 
     def __init__(self, rs: Any, colour: Any, depth: Any = None) -> None:
         self._rs, self._sensors = rs, {"": colour, DEPTH: depth}

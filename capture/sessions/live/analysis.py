@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from koala3d.capture.drivers.measurements import Image
 from koala3d.capture.recording.focus import sharpness
 from koala3d.capture.sessions.live.flat import values_of
-from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.radiometry.merge import SATURATED
 
 MAY_CLIP = 0.001
@@ -31,18 +30,6 @@ class Part:
     def middle(cls, width: int, height: int) -> "Part":
         """Half the width and height, in the middle."""
         return cls(width // 4, height // 4, width - width // 4, height - height // 4)
-
-    @classmethod
-    def parse(cls, text: str, width: int, height: int) -> "Part":
-        """From "left,top,width,height" [px]; raises UsageError where that is no part of the picture."""
-        try:
-            left, top, wide, high = (int(word) for word in text.split(","))
-        except ValueError:
-            raise UsageError("is not a region", where=repr(text), remedy="write it as left,top,width,height") from None
-        if min(left, top) < 0 or min(wide, high) < 16 or left + wide > width or top + high > height:
-            why = f"the picture has {width}x{height} pixels; a region has at least 16x16"
-            raise UsageError("region is not inside the picture", where=repr(text), why=why)
-        return cls(left, top, left + wide, top + high)
 
     def of(self, picture: NDArray) -> NDArray:
         """That part of (height, width, ...) values."""

@@ -65,9 +65,9 @@ def recorded(tmp_path: Path) -> Callable[..., Path]:
 
 def test_a_good_recording_is_reported_completely(recorded: Callable[..., Path], tmp_path: Path) -> None:
     steps = []
-    findings = report.write(recorded(), tmp_path / "page.html", made_by="capture report x", done=lambda *n: steps.append(n))
+    findings = report.write(recorded(), tmp_path / "page.html", made_by="capture check x", done=lambda *n: steps.append(n))
     text = (tmp_path / "page.html").read_text()
-    assert findings == [] and "Nothing is wrong" in text and "capture report x" in text and "acA1920" in text
+    assert findings == [] and "Nothing is wrong" in text and "capture check x" in text and "acA1920" in text
     assert "&lt;squares&gt;" in text and "<squares>" not in text
     assert text.count("<img") == 4 and text.count("<svg") == 1 and not re.search(r'src="(?!data:)', text)
     assert [count for count, _ in steps] == list(range(1, 9)) and {total for _, total in steps} == {8}

@@ -96,8 +96,8 @@ def test_the_written_trajectory_is_one_like_others(capture, tmp_path, mesh_file,
     places = known_shape.surface_of(mesh_file, trajectory)
     shares = known_shape.covered_after(places, np.stack(cameras), None)
     assert shares == sorted(shares) and shares[-1] == pytest.approx(found["covered"] * found["reachable"], abs=0.02)
-    told = json.loads(capture("coverage", out, "--mesh", mesh_file, "--json").stdout)
-    assert told["views"] == 9 and told["covered"] == pytest.approx(shares[-1], abs=0.02)
+    told = json.loads(capture("plan", out, "--coverage", mesh_file, "--json").stdout)
+    assert len(told["covered_after"]) == 9 and told["covered"] == pytest.approx(shares[-1], abs=0.02)
     assert capture("plan", "koala_demo", "--for-mesh", mesh_file, "--out", out).returncode == 2, "it is not overwritten"
 
 
@@ -111,7 +111,7 @@ def test_the_written_trajectory_is_one_like_others(capture, tmp_path, mesh_file,
         (["run", "koala_demo", "--views", "9", "--out", "x"], "--views: is for sessions that choose their views; add --adaptive"),
         (["run", "koala_demo", "--adaptive", "--view", "--out", "x"], "capture view RECORDING"),
         (["run", "calibration", "--adaptive", "--out", "x"], "use 'capture calibrate'"),
-        (["coverage", "koala_demo", "--mesh", "none.ply"], "none.ply"),
+        (["plan", "koala_demo", "--coverage", "none.ply"], "none.ply"),
     ],
 )
 def test_misuse_is_one_line(capture, words, message):

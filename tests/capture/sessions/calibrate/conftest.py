@@ -9,8 +9,8 @@ from koala3d.capture.model.rig import RigDescription
 from koala3d.capture.model.trajectory import Trajectory, load_trajectory
 from koala3d.capture.planning import Obstacles
 from koala3d.capture.sessions.calibrate.adviser import Adviser
-from koala3d.capture.sessions.calibrate.bench import RehearsedArm
 from koala3d.datasets.advice import Question
+from tests.bench.rehearsals import RehearsedArm
 
 CARRIER = RigDescription().carrier()
 

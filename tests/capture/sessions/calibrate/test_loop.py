@@ -96,3 +96,14 @@ def test_every_reason_has_words():
 def test_an_adviser_that_has_ended_says_why():
     with Adviser("nowhere", ["--lens", "none"]) as adviser, pytest.raises(AdviserError, match="no lens called 'none'"):
         adviser.ask(Question())
+
+
+def test_flights_take_as_long_as_planned_ones(trajectory, carrier, arm):
+    from koala3d.capture.planning import duration, plan
+
+    planned = plan(trajectory, carrier)[:4]
+    arm.present = planned[0].joints
+    for view in planned:
+        arm.take(view.joints)
+    # the planner's estimate, and the settling of the first view's empty path is counted in both
+    assert arm.seconds == pytest.approx(duration(trajectory, planned), rel=1e-6) and arm.taken == 4

@@ -1,4 +1,4 @@
-"""Grey cards and recordings of the rig with flaws, through pylon's emulation and real files."""
+"""Recordings of the rig with flaws, through pylon's emulation and real files."""
 
 from pathlib import Path
 
@@ -10,7 +10,6 @@ from koala3d.capture.recording.check import check
 from koala3d.capture.recording.recorder import record
 from koala3d.capture.rig.cameras import camera_for
 from koala3d.capture.rig.opening import open_rig
-from koala3d.capture.sessions.live.bench import errors, lines
 from koala3d.capture.sessions.live.flat import measured, statistics
 from koala3d.datasets import pose
 from koala3d.datasets.build import build
@@ -32,24 +31,6 @@ def session(pixel_format: str, *more: str) -> Trajectory:
 
 def nothing() -> None:
     """Progress that nobody watches."""
-
-
-@pytest.mark.parametrize("pixel_format", ["bayer12", "rgb8", "mono12"])
-def test_a_grey_card_is_grey_and_even(pixel_format):
-    corner = ("camera.offset_x=0", "camera.offset_y=0")  # where the lens darkens most
-    found = errors(session(pixel_format, *corner), "sim_flawed", 8, nothing)
-    coloured = pixel_format != "mono12"
-    assert max(one.uneven_before for one in found) > 0.1  # the premise
-    assert not coloured or min(one.colour_before for one in found) > 0.1
-    assert max(one.colour for one in found) < 0.01 and max(one.uneven for one in found) < 0.01
-    levels = [one.level for one in found]
-    assert 0.5 < min(levels) and max(levels) / min(levels) < 1.02  # dark by the vignetting of the region's middle, and linear
-    assert len(lines(found)) == 1 + len(found)
-
-
-def test_only_a_simulation_knows_the_truth(tmp_path):
-    with pytest.raises(UsageError, match="there is no rig 'flawed'"):
-        errors(session("rgb8"), "flawed", 2, nothing)
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,6 @@ from koala3d.capture.rig.cameras import camera_for
 from koala3d.capture.sessions.live.analysis import Look, Part
 from koala3d.capture.sessions.live.balance import white_balance
 from koala3d.capture.sessions.live.flicker import FREQUENCIES_HZ, Flicker, burst, flicker
-from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.radiometry.response import Response
 
 SMALL = ("camera.width=64", "camera.height=48")
@@ -91,9 +90,3 @@ def test_a_stored_balance_belongs_to_its_camera(tmp_path):
     # without a black level, 1.6 % of white are counted as light: (0.6 + 0.016) / (0.62 * 0.6 + 0.016)
     np.testing.assert_allclose(found.balance.ravel(), [1.588, 1, 1, 1.339], rtol=0.01)
     np.testing.assert_allclose(again.balance, found.balance, rtol=1e-3)
-
-
-@pytest.mark.parametrize("text", ["1,2,3", "0,0,8,8", "60,0,16,16", "a,b,c,d"])
-def test_a_region_outside_the_picture_is_refused(text):
-    with pytest.raises(UsageError, match="region"):
-        Part.parse(text, 64, 48)

@@ -99,7 +99,7 @@ def test_the_command_moves_the_arm_and_draws_the_box(tmp_path: Path, session: Tr
 
     Calibration.save(calibrated(), tmp_path / "calibration.json")
     words = [word for change in SMALL for word in ("--set", change)]
-    words += ["--once", "--burst", "8", "--scene", "shiny_ball", "--calibration", tmp_path / "calibration.json"]
+    words += ["--once", "--scene", "shiny_ball", "--calibration", tmp_path / "calibration.json"]
     refused = run_inside(main, "capture", "look", "koala_demo", *words)
     assert refused.returncode == 2 and "add --arm" in refused.stderr
     name = session.viewpoints()[5].name

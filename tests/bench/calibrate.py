@@ -1,7 +1,13 @@
-"""What rehearsals say: views and time to the error of the fixed session, and whether stopped sessions keep what they state."""
+"""Compare sessions that choose their views with the 25 fixed views, on simulated rigs: `capture calibrate` without pictures.
 
-import csv
-import io
+    python -m tests.bench.calibrate bench --rigs 50
+
+prints views and time to the error of the fixed session, and whether stopped sessions keep what they state, and writes the same
+to bench/bench.md with a figure, bench/bench.png.
+"""
+
+import argparse
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -9,13 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.capture.sessions.calibrate.bench import Rehearsal, Step
 from koala3d.capture.sessions.calibrate.loop import reached
 from koala3d.datasets.advice import Figures
 from koala3d.datasets.core import files
-
-COLUMNS = ("rig", "session", "views", "seconds", "stated_mm", "stated_deg", "true_mm", "true_deg", "expected_mm", "expected_deg")
-
+from tests.bench.rehearsals import Rehearsal, Step, run
 
 SHARE = 0.6  # of the fixed views: chosen views of this number are compared with all fixed ones
 
@@ -96,7 +99,7 @@ def describe(found: dict[str, Any]) -> str:
         (f"rms of the true errors, {fixed} fixed views", _words(found["fixed_rms"])),
         (f"rms of the true errors, {at:.0f} chosen views", _words(found["adaptive_rms"])),
         (f"rigs whose {found['sixty_percent']} chosen views had the smaller true error than {fixed} fixed ones", at_sixty),
-        (f"sessions that stopped at {found['until'][0]:g} mm, {found['until'][1]:g}° with 95 %", f"{found['stopped']} of {rigs}"),
+        ("sessions that stopped at {:g} mm, {:g}° with 95 %".format(*found["until"]), f"{found['stopped']} of {rigs}"),
         ("views at the stop, median", f"{found['views_at_stop']:.0f}"),
         ("of these, a true error above the wanted one", str(found["above_wanted"])),
         ("of these, a true error above the stated one", str(found["above_stated"])),
@@ -106,30 +109,12 @@ def describe(found: dict[str, Any]) -> str:
 
 
 def write(out: Path, found: Sequence[Rehearsal], until: Figures) -> dict[str, Any]:
-    """Write bench.csv, bench.md and bench.png into a new folder; returns the summary."""
+    """Write bench.md and bench.png into a new folder; returns the summary."""
     result = summary(found, until)
     files.make_folder(out)
-    files.write_text(out / "bench.csv", _table(found))
     files.write_text(out / "bench.md", describe(result) + "\n")
     draw(out / "bench.png", found, until)
     return result
-
-
-def plain(found: dict[str, Any]) -> dict[str, Any]:
-    """The figures for a program: null where no session reached what was asked for."""
-    return {key: None if isinstance(value, float) and not np.isfinite(value) else value for key, value in found.items()}
-
-
-def _table(found: Sequence[Rehearsal]) -> str:
-    text = io.StringIO()
-    rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(COLUMNS)
-    for one in found:
-        for name, steps in (("fixed", one.fixed), ("adaptive", one.adaptive)):
-            for step in steps:
-                pairs = (value for pair in (step.figures, step.truth, step.spread) for value in (pair or ("", "")))
-                rows.writerow([one.rig, name, step.views, f"{step.seconds:.2f}", *pairs])
-    return text.getvalue()
 
 
 def draw(path: Path, found: Sequence[Rehearsal], until: Figures) -> None:
@@ -161,3 +146,22 @@ def _curves(found: Sequence[Rehearsal], name: str, panel: int) -> tuple[NDArray[
     stated = [np.median([one[n].figures[panel] for one in steps]) for n in views]
     true = [np.sqrt(np.mean([one[n].truth[panel] ** 2 for one in steps])) for n in views]
     return np.array(views, np.float64), np.array(stated), np.array(true)
+
+
+def main() -> None:
+    """Rehearse, print and write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("out", type=Path, metavar="FOLDER", help="new folder")
+    parser.add_argument("--rigs", type=int, default=50, help="number of simulated rigs")
+    parser.add_argument("--workers", type=int, default=2, help="rigs simulated at a time")
+    parser.add_argument("--until", type=float, nargs=2, default=(0.06, 0.022), help="wanted errors [mm] [deg]")
+    parser.add_argument("--json", action="store_true", help="print the figures for a program")
+    asked = parser.parse_args()
+    files.refuse_existing(asked.out)
+    until = (asked.until[0], asked.until[1])
+    found = write(asked.out, run(asked.rigs, asked.workers, until), until)
+    print(json.dumps(found) if asked.json else describe(found))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,10 +1,12 @@
 """Benchmarks of the capture loop on the simulated rig: sharpness against settling time, loop overhead, rate of robot states.
 
-They use the vendors' clients against a simulated controller in real time.
+    python -m tests.bench.capture_loop bench
+
+They use the vendors' clients against a simulated controller in real time, and write bench/bench.json and bench/settling.png.
 """
 
+import argparse
 import itertools
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -27,12 +29,12 @@ from koala3d.capture.sim.camera import SimulatedCamera
 from koala3d.capture.sim.controller.process import SimulatedController
 from koala3d.capture.sim.truth import RigTruth
 from koala3d.datasets import pose
+from koala3d.datasets.core import files
 from koala3d.datasets.recording import Frame
 
 DELAYS_S = (0.0, 0.02, 0.04, 0.06, 0.08, 0.1, 0.13, 0.16, 0.2, 0.25, 0.3, 0.4, 0.5)
 """Waits between the end of a motion and the exposure."""
 PATIENT = Deadlines(stale_s=1.0, watchdog_hz=1.0)  # long deadlines: a busy computer must not count as a fault of the rig
-Advance = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,7 @@ def state_rate(seconds: float = 2.0, *, frequency: float = 500.0) -> float:
             return (robot.states_received - first) / (controller.ask("truth")["robot_time_s"] - begun)
 
 
-def loop_overhead(count: int = 12, *, advance: Advance = lambda name: None) -> NDArray[np.float64]:
+def loop_overhead(count: int = 12) -> NDArray[np.float64]:
     """(count - 1,) time between frames beyond motion, swing, settling and exposure, at the sensor's full resolution [s]."""
     trajectory = load_trajectory("koala", overrides=["motion.settle_time_s=0.2"])
     description = RigDescription()
@@ -67,7 +69,7 @@ def loop_overhead(count: int = 12, *, advance: Advance = lambda name: None) -> N
         with Basler(trajectory.camera, emulated=True) as camera:
             with UniversalRobot(controller.host, deadlines=PATIENT, settling=settling) as robot:
                 rig = Rig(robot, camera, description, "bench")
-                frames = record(trajectory, rig, Path(folder) / "recording", planned=planned, advance=advance).frames
+                frames = record(trajectory, rig, Path(folder) / "recording", planned=planned).frames
                 motions = controller.ask("motions", settle_spread=motion.settle_spread)["motions"]
     return _overheads(frames, np.array(motions), motion.settle_time_s)
 
@@ -87,7 +89,6 @@ def settle_curve(
     *,
     exposure_us: float = 20_000.0,
     repeats: int = 2,
-    advance: Advance = lambda name: None,
 ) -> list[SettlePoint]:
     """Sharpness of a picture of the board, and position error of the camera, against the wait after a motion."""
     small = ["camera.binning=1", "camera.width=320", "camera.height=240", f"camera.exposure_us={exposure_us}"]
@@ -116,7 +117,6 @@ def settle_curve(
                     since, moving, place = look(start, delay_s)
                     seen.append((since, moving / sharp, 1e3 * float(pose.difference(place, rest)[0])))
                 points.append(SettlePoint(*map(float, np.mean(seen, axis=0))))
-                advance(f"{delay_s:g} s")
     return points
 
 
@@ -126,8 +126,6 @@ def plot_settling(points: list[SettlePoint], path: Path) -> None:
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
-
-    from koala3d.datasets.core.files import atomic_path
 
     delays = [1e3 * point.delay_s for point in points]
     figure, left = pyplot.subplots(figsize=(7, 4), layout="constrained")
@@ -139,7 +137,7 @@ def plot_settling(points: list[SettlePoint], path: Path) -> None:
     right.set(ylabel="camera off its resting place [mm]", ylim=(0, None))
     right.yaxis.label.set_color("tab:red")
     left.grid(alpha=0.3)
-    with atomic_path(path) as temporary:
+    with files.atomic_path(path) as temporary:
         figure.savefig(temporary, dpi=120)
     pyplot.close(figure)
 
@@ -161,3 +159,22 @@ def lines(found: dict[str, Any]) -> list[str]:
     line = "  {:5.0f} ms: sharpness {:5.1f} %, camera off by {:.3f} mm"
     points = [line.format(1e3 * one["delay_s"], 100 * one["sharpness"], one["off_mm"]) for one in found["settling"]]
     return [states, overhead, "delay of the exposure after the motion:", *points]
+
+
+def main() -> None:
+    """Measure, print and write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("out", type=Path, metavar="FOLDER", help="new folder")
+    parser.add_argument("--frames", type=int, default=12, help="frames to measure the overhead of the loop with")
+    asked = parser.parse_args()
+    files.refuse_existing(asked.out)
+    points = settle_curve()
+    found = summary(points, loop_overhead(asked.frames), state_rate())
+    with files.atomic_folder(asked.out) as folder:
+        files.write_json(folder / "bench.json", found)
+        plot_settling(points, folder / "settling.png")
+    print("\n".join(lines(found)))
+
+
+if __name__ == "__main__":
+    main()

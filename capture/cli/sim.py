@@ -1,12 +1,11 @@
-"""The commands that start only the simulated controller of a rig, and that check its camera's driver."""
+"""The command `sim`: a simulated controller that runs by itself."""
 
 import time
 from pathlib import Path
 from typing import Annotated
 
-from typer import Exit, Option
+from typer import Option
 
-from koala3d.capture.cli.options import RigName, Settings, TrajectoryName
 from koala3d.capture.drivers.errors import SimulationError
 from koala3d.datasets.core import console
 
@@ -17,7 +16,7 @@ def sim(
     host: Annotated[str, Option(help="Loopback address to listen on.")] = "127.0.0.1",
     seed: Annotated[int, Option(min=0, help="Random seed.")] = 0,
     time_scale: Annotated[float, Option(min=0.1, max=1000, help="Speed of the arm relative to real time.")] = 1.0,
-    rig: Annotated[str, Option(help="Whose arm: 'sim', or 'sim:' and the name or file of a rig.")] = "sim",
+    rig: Annotated[str, Option(help="The rig whose arm is simulated: 'sim', or 'sim:RIG' for a rig by name or file.")] = "sim",
     hangs: Annotated[bool, Option("--hangs", help="Start as a hanging arm, for trajectories with 'up: -z'.")] = False,
     as_json: console.Json = False,
 ) -> None:
@@ -45,42 +44,3 @@ def sim(
         except KeyboardInterrupt:
             return
         raise SimulationError("the simulated controller has ended", why=controller.last_line(), remedy="start it again")
-
-
-def check_camera(
-    trajectory: TrajectoryName = Path("koala_demo"),
-    rig: RigName = "sim",
-    other_exposure_us: Annotated[
-        float | None, Option("--other-exposure-us", help="Another exposure time to try [us]. Default: half of the trajectory's.")
-    ] = None,
-    settings: Settings = None,
-    as_json: console.Json = False,
-) -> None:
-    """Check that the driver of a rig's camera keeps the contract of all drivers; some pictures are taken, the arm is not used.
-
-    The camera takes the settings of the trajectory. The exit status is 1 where a clause is broken.
-    """
-    from koala3d.capture.model.trajectory import load_trajectory
-    from koala3d.capture.rig.cameras import camera_for
-    from koala3d.capture.rig.contract import CONTRACT, Subject, check
-    from koala3d.capture.rig.naming import describe, is_simulated
-
-    session, description = load_trajectory(trajectory, overrides=settings), describe(rig)
-    scene = "grey_card" if is_simulated(rig, description) else ""
-    exposure_us = other_exposure_us or session.camera.exposure_us / 2
-    other = None if "exposure_us" in description.camera.leave else exposure_us
-    subject = Subject(
-        lambda wanted: camera_for(rig, session.model_copy(update={"camera": wanted}), scene=scene),
-        session.camera,
-        other_exposure_us=other,
-    )
-    broken = check(subject)
-    lines = [f"{'broken' if name in broken else 'kept':6}  {name.replace('_', ' ')}" for name in CONTRACT]
-    lines = [line if name not in broken else f"{line}: {broken[name]}" for name, line in zip(CONTRACT, lines, strict=True)]
-    console.report(
-        {"rig": rig, "kept": [name for name in CONTRACT if name not in broken], "broken": broken},
-        as_json=as_json,
-        text="\n".join(lines),
-    )
-    if broken:
-        raise Exit(1)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from koala3d.capture.recording import bench
 from koala3d.datasets.imaging import images
 from koala3d.datasets.recording import Frame
+from tests.bench import capture_loop as bench
 
 
 def frame(index, robot_time_s, host_s):

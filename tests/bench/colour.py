@@ -1,6 +1,9 @@
-"""Colour errors of a simulated grey card, through the files of a recording, with and without correction."""
+"""Colour errors of a simulated grey card at four brightnesses, through the files of a recording, with and without correction.
 
-from collections.abc import Callable
+python -m tests.bench.colour --set camera.width=480 --set camera.height=270 --set camera.pixel_format=bayer12
+"""
+
+import argparse
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -9,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koala3d.capture.drivers.protocols import Camera
-from koala3d.capture.model.trajectory import Trajectory
+from koala3d.capture.model.trajectory import Trajectory, load_trajectory
 from koala3d.capture.recording.writer import Writer
 from koala3d.capture.rig.cameras import camera_for
 from koala3d.capture.sessions.live.flat import measured, statistics
@@ -39,18 +42,18 @@ class CardError:
     level: float  # mean of the picture relative to the true light
 
 
-def errors(trajectory: Trajectory, rig: str, frames: int, advance: Callable[[], None]) -> list[CardError]:
+def errors(trajectory: Trajectory, rig: str, frames: int) -> list[CardError]:
     """Measure the response with a seed, then take pictures of the card at several brightnesses."""
     found = []
     with camera_for(rig, trajectory, scene="lens_cap") as covered:
-        dark = statistics(covered, frames, advance)
+        dark = statistics(covered, frames, nothing)
     with camera_for(rig, trajectory, scene="grey_card") as camera, TemporaryDirectory(prefix="koala-colour-") as folder:
         if not isinstance(camera, SimulatedCamera):
             raise UsageError("only a simulated rig knows the true light", where=rig, remedy="use --rig sim_flawed")
-        response = measured(camera, dark, statistics(camera, frames, advance))
+        response = measured(camera, dark, statistics(camera, frames, nothing))
         response.save(Path(folder) / RADIOMETRY)
         recording = Recording.create(Path(folder) / "recording", {"camera": camera.description()})
-        with Writer([recording], lambda name: advance()) as writer:
+        with Writer([recording], lambda name: None) as writer:
             for number, share in enumerate(EXPOSURES):
                 camera.prepare(1000 + number)
                 camera.set_exposure(trajectory.camera.exposure_us * share)
@@ -62,6 +65,10 @@ def errors(trajectory: Trajectory, rig: str, frames: int, advance: Callable[[], 
             plain = images.linear_from_stored(images.read_stored(recording.image_path(frame)))
             found.append(_error(develop(recording, frame, response).light, plain, CARDS["grey_card"] / white))
     return found
+
+
+def nothing() -> None:
+    """Called after each picture."""
 
 
 def _frame(number: int, camera: Camera) -> Frame:
@@ -105,3 +112,19 @@ def lines(found: list[CardError]) -> list[str]:
         uneven = f"{100 * one.uneven:9.2f} %{100 * one.uneven_before:8.1f} %"
         rows.append(f"{100 * one.light:8.1f} % of white {colour} {uneven} {one.level:10.3f}")
     return rows
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("trajectory", nargs="?", type=Path, default=Path("koala_demo"), metavar="TRAJECTORY")
+    parser.add_argument("--rig", default="sim_flawed")
+    parser.add_argument("--frames", type=int, default=32, help="pictures of the card, and of darkness")
+    parser.add_argument("--set", action="append", metavar="KEY=VALUE", help="change a value of the trajectory")
+    asked = parser.parse_args()
+    found = errors(load_trajectory(asked.trajectory, overrides=asked.set), asked.rig, asked.frames)
+    print("\n".join(lines(found)))
+
+
+if __name__ == "__main__":
+    main()

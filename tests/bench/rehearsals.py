@@ -1,6 +1,5 @@
 """Sessions that choose their views against the fixed ones, on simulated rigs: pure geometry, the real planner, no pictures."""
 
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
@@ -79,7 +78,7 @@ class RehearsedArm:
         return self.adviser.ask(Question(question.candidates, question.anew, question.finish, np.array(flown)))
 
 
-def run(rigs: int, workers: int, until: Figures, *, done: Callable[[], None] = lambda: None) -> list[Rehearsal]:
+def run(rigs: int, workers: int, until: Figures) -> list[Rehearsal]:
     """Rehearse both kinds of session on `rigs` simulated rigs, `workers` at a time. The wanted errors are those of `until`."""
     trajectory = load_trajectory(FIXED)
     carrier = RigDescription().carrier()
@@ -90,7 +89,6 @@ def run(rigs: int, workers: int, until: Figures, *, done: Callable[[], None] = l
         with Adviser("rehearsal", ["--rehearse", "--until", *map(str, until)]) as adviser:
             for rig in range(first, rigs, workers):
                 found.append(_one(rig, trajectory, carrier, fixed, adviser, until))
-                done()
         return found
 
     with ThreadPoolExecutor(workers) as pool:
