@@ -52,8 +52,8 @@ def calibrate(
     """
     from koala3d.capture.model.trajectory import load_trajectory
     from koala3d.capture.sessions.calibrate import session
-    from koala3d.capture.sessions.calibrate.loop import Goal
-    from koala3d.capture.sessions.start import Options
+    from koala3d.capture.sessions.calibrate.loop import AccuracyGoal
+    from koala3d.capture.sessions.start import SessionOptions
     from koala3d.datasets.core.errors import KoalaError, UsageError
     from koala3d.datasets.core.files import refuse_existing
 
@@ -62,9 +62,9 @@ def calibrate(
         raise UsageError("has no calibration target", where=trajectory, remedy="use 'calibration', or state 'target'")
     if not resume:
         refuse_existing(out)
-    goal = Goal((until_mm, until_deg), max_views)
+    goal = AccuracyGoal((until_mm, until_deg), max_views)
     arm = ["--arm-mm", str(arm_mm), "--arm-deg", str(arm_deg), "--lens", lens]
-    options = Options(rig, scene, seed, time_scale, take_over=take_over, resume=resume)
+    options = SessionOptions(rig, scene, seed, time_scale, take_over=take_over, resume=resume)
     try:
         outcome = session.run(room, out, goal, options, arm, show=lambda views, answer: session.show(views, answer, goal.until))
     except KeyboardInterrupt:

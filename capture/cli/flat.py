@@ -39,8 +39,8 @@ def flat(
         with console.progress(request, frames, "pictures") as shown:
             with camera_for(rig, session, scene=scene, seed=seed) as camera:
                 found.append(statistics(camera, frames, shown.advance))
-                result = measured(camera, *found) if len(found) == 2 else None
-    assert result is not None  # there are two series
+                said = camera.description()
+    result = measured(said, *found)
     result.save(out)
     content = {"out": out, "black": result.black, "balance": result.balance, "hot": len(result.hot)}
     content |= {"read": result.read, "shot": result.shot, "serial": result.serial, "pixel_format": result.pixel_format}

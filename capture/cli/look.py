@@ -28,7 +28,7 @@ Balance = Annotated[
     Path | None,
     Option(metavar="FLAT.npz", help="New file for the white balance of a grey card in the middle of the picture."),
 ]
-Arm = Annotated[
+WithArm = Annotated[
     bool, Option("--arm", help="Connect the arm too; the page moves it to views of the trajectory.", rich_help_panel=ARM)
 ]
 Go = Annotated[str | None, Option("--go", metavar="VIEW", help="First move the arm to this view.", rich_help_panel=ARM)]
@@ -49,7 +49,7 @@ def look(
     picture: Picture = None,
     balance: Balance = None,
     scene: Scene = "",
-    arm: Arm = False,
+    arm: WithArm = False,
     go: Go = None,
     calibration: Box = None,
     take_over: TakeOver = False,

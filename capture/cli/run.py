@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from koala3d.capture.model.carrier import Mount
     from koala3d.capture.model.trajectory import Trajectory
     from koala3d.capture.planning import PlannedView
-    from koala3d.capture.sessions.adaptive.loop import Goal
-    from koala3d.capture.sessions.start import Options
+    from koala3d.capture.sessions.adaptive.loop import CoverageGoal
+    from koala3d.capture.sessions.start import SessionOptions
 
 CHOOSING = "Views that the session chooses"
 Adaptive = Annotated[
@@ -75,15 +75,15 @@ def run(
     """
     from koala3d.capture.model.trajectory import load_trajectory
     from koala3d.capture.rig.naming import scene_for
-    from koala3d.capture.sessions.adaptive.loop import Goal
-    from koala3d.capture.sessions.start import Options
+    from koala3d.capture.sessions.adaptive.loop import CoverageGoal
+    from koala3d.capture.sessions.start import SessionOptions
     from koala3d.datasets.core.errors import KoalaError
     from koala3d.datasets.core.files import refuse_existing
 
-    goal = Goal(until_coverage, views, minutes)
+    goal = CoverageGoal(until_coverage, views, minutes)
     _agree(adaptive, goal, calibration, view)
     session = load_trajectory(trajectory, overrides=settings)
-    options = Options(rig, scene_for(rig, scene, session), seed, time_scale, radiometry, take_over, resume)
+    options = SessionOptions(rig, scene_for(rig, scene, session), seed, time_scale, radiometry, take_over, resume)
     if not resume:
         refuse_existing(out)
     try:
@@ -98,7 +98,7 @@ def run(
     console.report(found, as_json=as_json, text=text)
 
 
-def _agree(adaptive: bool, goal: "Goal", calibration: Path | None, view: bool) -> None:
+def _agree(adaptive: bool, goal: "CoverageGoal", calibration: Path | None, view: bool) -> None:
     """Raise UsageError where options contradict each other."""
     from koala3d.datasets.core.errors import UsageError
 
@@ -112,7 +112,7 @@ def _agree(adaptive: bool, goal: "Goal", calibration: Path | None, view: bool) -
 
 
 def _chosen(
-    session: "Trajectory", out: Path, goal: "Goal", options: "Options", calibration: Path | None
+    session: "Trajectory", out: Path, goal: "CoverageGoal", options: "SessionOptions", calibration: Path | None
 ) -> tuple[dict[str, Any], str]:
     """Record views that the session chooses; what to report."""
     from koala3d.capture.sessions.adaptive import session as choosing
@@ -128,7 +128,7 @@ def _chosen(
     return choosing.facts(out, outcome, frames, seconds), choosing.describe(out, outcome, frames, seconds)
 
 
-def _every(session: "Trajectory", out: Path, options: "Options", port: int | None) -> tuple[dict[str, Any], str]:
+def _every(session: "Trajectory", out: Path, options: "SessionOptions", port: int | None) -> tuple[dict[str, Any], str]:
     """Record every view of a trajectory, with a page at a port where one is given; what to report."""
     from koala3d.capture.planning import plan
     from koala3d.capture.recording.recorder import record

@@ -8,13 +8,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from koala3d.capture.doctor import arm, camera, computer, other_camera, pendant, safety
-from koala3d.capture.doctor.answers import Answers, ask
 from koala3d.capture.doctor.lines import Line, Verdict, ok, unknown, wrong
+from koala3d.capture.doctor.report import ControllerReport, ask
+from koala3d.capture.drivers.cameras.base import InspectedCamera
 from koala3d.capture.drivers.cameras.nodes import Nodes
 from koala3d.capture.drivers.errors import CaptureError, NotReady
 from koala3d.capture.drivers.ur.timing import Deadlines
 from koala3d.capture.model.rig import RigDescription
-from koala3d.capture.rig.cameras import Seen
 from koala3d.capture.sim.camera_nodes import SimulatedNodes
 
 log = logging.getLogger(__name__)
@@ -108,7 +108,7 @@ def _examined(rig: RigDescription, number: int | None, *, encoded: bool) -> list
         return _camera(found, rig, simulated=simulated, encoded=encoded)
 
 
-def _camera(found: Seen, rig: RigDescription, *, simulated: bool, encoded: bool) -> list[Line]:
+def _camera(found: InspectedCamera, rig: RigDescription, *, simulated: bool, encoded: bool) -> list[Line]:
     if rig.camera.model == "realsense" or (rig.camera.model in ("opencv", "gphoto2") and not simulated):
         return other_camera.check(found.nodes, found.serial, found.facts, rig.camera)
     nodes = SimulatedNodes(found.nodes, "ace USB") if simulated else found.nodes
@@ -143,7 +143,7 @@ def refuse_wrong(lines: list[Line], where: str, *, take_over: bool = False) -> N
         raise NotReady("the rig is not ready, nothing has moved", where=where, why=why, remedy=remedy)
 
 
-def _ports(answers: Answers) -> list[Line]:
+def _ports(answers: ControllerReport) -> list[Line]:
     """Which interfaces answer."""
     samples = ok("RTDE", "sends samples")
     if answers.sample is None:

@@ -42,7 +42,7 @@ class Device(Schema):
     settings: dict[str, Value] = Field(
         default={}, description="more settings by the names that the camera gives them; written last, and read back"
     )
-    leave: list[Left] = Field(default=[], description="what this camera cannot take, and is left as it is")
+    leave: list[Left] = Field(default=[], description="settings that this camera does not have; they are not written")
     depth: DepthStream | None = Field(default=None, description="realsense: keep its depth beside each picture; null: no")
 
     @model_validator(mode="after")

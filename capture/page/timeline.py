@@ -16,7 +16,7 @@ WAIT_S = 1.0  # longest pause of the arm in the playback of a recording, in addi
 
 
 @dataclass(frozen=True)
-class Stop:
+class ShownView:
     """One view of a session."""
 
     name: str
@@ -34,7 +34,7 @@ class Timeline:
 
     seconds: NDArray[np.float64]  # (n,) non-decreasing, from 0; empty if the arm can take no view
     joints: NDArray[np.float64]  # (n, joints) [rad]
-    stops: tuple[Stop, ...]
+    stops: tuple[ShownView, ...]
     notes: tuple[str, ...] = ()
 
     @property
@@ -46,7 +46,7 @@ class Timeline:
         """(joints,) angles [rad] at a time [s]."""
         return np.array([np.interp(seconds, self.seconds, angle) for angle in self.joints.T])
 
-    def next_stop(self, seconds: float) -> Stop | None:
+    def next_stop(self, seconds: float) -> ShownView | None:
         """The view that is taken at a time, or the next one."""
         later = [stop for stop in self.stops if stop.seconds is not None and stop.seconds >= seconds - 1e-6]
         return min(later, key=lambda stop: stop.seconds or 0.0, default=None)
@@ -66,7 +66,7 @@ def of_trajectory(trajectory: Trajectory, mount: Mount) -> Timeline:
         planned = plan(trajectory, mount, without=reasons) if left else []
     timeline = of_planned(trajectory, planned, mount)
     out_of_reach = [viewpoint for viewpoint in trajectory.viewpoints() if viewpoint.name in reasons]
-    stops = [Stop(v.name, v.split, v.camera_pose(mount), None, reasons[v.name]) for v in out_of_reach]
+    stops = [ShownView(v.name, v.split, v.camera_pose(mount), None, reasons[v.name]) for v in out_of_reach]
     notes = (timeline.notes[0] + (f"; {len(reasons)} cannot be taken" if reasons else ""),)
     return replace(timeline, stops=(*timeline.stops, *stops), notes=notes)
 
@@ -79,7 +79,7 @@ def of_planned(trajectory: Trajectory, planned: list[PlannedView], mount: Mount)
         seconds += times
         joints += [corner for corner in view.path for _ in range(2)]
         base_from_camera = carrier.base_from_camera(view.joints)
-        stops.append(Stop(view.viewpoint.name, view.viewpoint.split, base_from_camera, times[-1]))
+        stops.append(ShownView(view.viewpoint.name, view.viewpoint.split, base_from_camera, times[-1]))
     notes = (f"{len(planned)} views in about {duration(trajectory, planned, carrier.turntable):.0f} s",)
     return Timeline(np.array(seconds), np.array(joints).reshape(-1, carrier.arm.count), tuple(stops), notes)
 
@@ -112,7 +112,7 @@ def of_recording(recording: Recording, mount: Mount) -> Timeline:
             measured += f", turntable at {np.degrees(frame.turntable_angle):.1f} degrees"
         if frame.name in reasons:
             measured += f"  \nwhy: {reasons[frame.name].get('words', '')}"
-        stops.append(Stop(frame.name, frame.split, base_from_camera, float(when), image=image, measured=measured))
+        stops.append(ShownView(frame.name, frame.split, base_from_camera, float(when), image=image, measured=measured))
     waits = f", without {clock[-1] - seconds[-1]:.0f} s of waiting" if clock[-1] - seconds[-1] > WAIT_S else ""
     count = f"{len(frames)} of {len(trajectory.viewpoints())} views in {seconds[-1]:.0f} s{waits}"
     notes = (count, "paths between views are drawn straight")

@@ -15,7 +15,7 @@ from koala3d.capture.drivers.measurements import Image, Pixels, RobotState
 from koala3d.capture.model.trajectory import CameraSettings, Motion, Trajectory
 from koala3d.capture.planning import Obstacles, PlannedView, connect, plan
 from koala3d.capture.recording.manifest import manifest_of, require_same_session
-from koala3d.capture.recording.writer import Advance, Stop, Writer
+from koala3d.capture.recording.writer import Advance, TakenView, Writer
 from koala3d.capture.rig.rig import Rig
 from koala3d.datasets.core import arrays, files
 from koala3d.datasets.core.errors import UsageError
@@ -113,14 +113,14 @@ def _turn(rig: Rig, view: PlannedView) -> None:
 
 def _expose(
     recordings: list[Recording], rig: Rig, index: int, view: PlannedView, arrived_ns: int, trajectory: Trajectory
-) -> Stop:
+) -> TakenView:
     """Take the pictures of one view with every camera, with the pose before and after them all."""
     name, split, motion = view.viewpoint.name, view.viewpoint.split, trajectory.motion
     for one in rig.each.values():
         if one.ground_truth is not None:
             one.ground_truth.prepare(index)
     table = None if view.viewpoint.turntable is None else rig.turntable
-    state, angle = rig.robot.state(), table and table.angle()
+    state, angle = rig.robot.state(), None if table is None else table.angle()
     pictures: list[list[Image]] = []
     for camera_name, one in rig.each.items():
         with naming(camera_name):
@@ -128,7 +128,7 @@ def _expose(
             if motion.settle_difference is not None and not pictures:  # the first camera waits until everything is at rest
                 image, state = _still(one, image, motion, name)
             pictures.append([image, *_shorter(one, trajectory.camera)])
-    after, angle_after = rig.robot.state(newer_than_ns=time.monotonic_ns()), table and table.angle()
+    after, angle_after = rig.robot.state(newer_than_ns=time.monotonic_ns()), None if table is None else table.angle()
     for recording, one in zip(recordings, rig.each.values(), strict=True):
         if one.ground_truth is not None:
             one.ground_truth.save_truth(recording.path / TRUTH, name, split)

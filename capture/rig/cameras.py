@@ -3,7 +3,7 @@
 from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING
 
-from koala3d.capture.drivers.cameras.base import CameraDriver, Seen
+from koala3d.capture.drivers.cameras.base import CameraDriver, InspectedCamera
 from koala3d.capture.drivers.protocols import Camera, GroundTruth
 from koala3d.capture.model.device import Device
 from koala3d.capture.model.flaws import Flaws
@@ -39,7 +39,7 @@ def driver_of(device: Device, settings: CameraSettings) -> CameraDriver:
     return Basler(settings, device)
 
 
-def seen(device: Device, *, simulated: bool = False, number: int = 0) -> AbstractContextManager[Seen]:
+def seen(device: Device, *, simulated: bool = False, number: int = 0) -> AbstractContextManager[InspectedCamera]:
     """Open a camera only to look at it; a simulated one by its own emulation if it has one, else by that of pylon.
 
     Args:
@@ -47,7 +47,7 @@ def seen(device: Device, *, simulated: bool = False, number: int = 0) -> Abstrac
 
     Raises RigConnectionError: there is none, or several and no serial number, or another program uses it.
     """
-    return (_emulated(device, number) if simulated else driver_of(device, CameraSettings())).seen()
+    return (_emulated(device, number) if simulated else driver_of(device, CameraSettings())).inspected()
 
 
 def _emulated(device: Device, number: int) -> CameraDriver:

@@ -26,7 +26,7 @@ class Rig:
 
     @property
     def each(self) -> "dict[str, Rig]":
-        """The rig as each of its cameras has it, by the camera's name; one camera has the empty name."""
+        """A copy of the rig for each camera, as if that were its only one, by the camera's name. The only camera of a rig is called ""."""
         return self.cameras or {"": self}
 
     @property

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Options:
+class SessionOptions:
     """What a person says of the rig and of the session."""
 
     rig: str

@@ -50,7 +50,7 @@ def errors(trajectory: Trajectory, rig: str, frames: int) -> list[CardError]:
     with camera_for(rig, trajectory, scene="grey_card") as camera, TemporaryDirectory(prefix="koala-colour-") as folder:
         if not isinstance(camera, SimulatedCamera):
             raise UsageError("only a simulated rig knows the true light", where=rig, remedy="use --rig sim_flawed")
-        response = measured(camera, dark, statistics(camera, frames, nothing))
+        response = measured(camera.description(), dark, statistics(camera, frames, nothing))
         response.save(Path(folder) / RADIOMETRY)
         recording = Recording.create(Path(folder) / "recording", {"camera": camera.description()})
         with Writer([recording], lambda name: None) as writer:

@@ -13,7 +13,7 @@ from koala3d.capture.planning import Obstacles, connect, move_duration, plan
 from koala3d.capture.planning.durations import READOUT_S
 from koala3d.capture.sessions.calibrate import loop
 from koala3d.capture.sessions.calibrate.adviser import Adviser
-from koala3d.capture.sessions.calibrate.loop import Goal
+from koala3d.capture.sessions.calibrate.loop import AccuracyGoal
 from koala3d.datasets.advice import Answer, Figures, Question
 
 Array = NDArray[np.float64]
@@ -48,7 +48,7 @@ class Rehearsal:
 
 @dataclass
 class RehearsedArm:
-    """An arm that flies for the adviser's rehearsal; implements `capture.sessions.calibrate.loop.Arm`."""
+    """An arm that flies for the adviser's rehearsal; implements `capture.sessions.calibrate.loop.BoardViewTaker`."""
 
     trajectory: Trajectory
     adviser: Adviser
@@ -107,7 +107,7 @@ def _one(rig: int, trajectory: Trajectory, carrier: Carrier, fixed: list[Array],
     adviser.ask(Question(rehearse=rig))
     steps: list[Step] = []
     arm = RehearsedArm(trajectory, adviser, obstacles)
-    goal = Goal(until, MAX_VIEWS)
+    goal = AccuracyGoal(until, MAX_VIEWS)
 
     def show(views: int, answer: Answer) -> None:
         if views:

@@ -16,7 +16,7 @@ Found = TypeVar("Found")
 
 
 @dataclass(frozen=True)
-class Seen:
+class InspectedCamera:
     """A camera that was opened only to look at it."""
 
     nodes: Nodes
@@ -48,12 +48,12 @@ class CameraDriver(ABC):
         self._close()
 
     @contextmanager
-    def seen(self) -> Iterator[Seen]:
+    def inspected(self) -> Iterator[InspectedCamera]:
         """Connect only to look at the camera: nothing is written and nothing starts. Raises as entering does."""
         with self._closed_on_failure():
             self._connect()
         try:
-            yield Seen(self.nodes, self.serial, self.facts)
+            yield InspectedCamera(self.nodes, self.serial, self.facts)
         finally:
             self._close()
 
@@ -86,7 +86,7 @@ class CameraDriver(ABC):
 
     @property
     def facts(self) -> Mapping[str, str]:
-        """See `Seen`."""
+        """See `InspectedCamera`."""
         return {}
 
     @abstractmethod

@@ -15,9 +15,9 @@ REMEDY = "unplug the camera, plug it in again, and continue with --resume"
 
 
 class Patient:
-    """Runs calls one after the other in a thread of its own; whoever waits for one waits no longer than its deadline.
+    """Calls functions in a thread of its own, one at a time, and waits for each no longer than its deadline.
 
-    The result of a call that is late is never used, since it would belong to an earlier picture; from then on calls are refused.
+    The result of a late call is never used, since it would belong to an earlier picture. From then on calls are refused.
     The thread is a daemon, so that a call that never returns does not keep the program alive.
     """
 

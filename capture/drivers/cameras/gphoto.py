@@ -101,7 +101,7 @@ class GphotoCamera(PatientCamera):
 
     @property
     def facts(self) -> dict[str, str]:
-        """See `Seen`."""
+        """See `InspectedCamera`."""
         return {"firmware": str(self.nodes.read("deviceversion"))}
 
     @staticmethod

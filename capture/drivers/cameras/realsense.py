@@ -137,7 +137,7 @@ class RealSense(CameraDriver):
 
     @property
     def facts(self) -> dict[str, str]:
-        """See `Seen`."""
+        """See `InspectedCamera`."""
         return {"firmware": self._info("firmware_version"), "link": self._info("usb_type_descriptor")}
 
     @staticmethod

@@ -59,7 +59,7 @@ class Client(Protocol):
         ...
 
     def move(self, joints: Sequence[float], speed: float, acceleration: float) -> int | None:
-        """Start a motion; `operation` from before it, None where the controller did not take it."""
+        """Start a motion. Returns the number of the motion before it, or None if the controller refuses the new one."""
         ...
 
     def stop(self, deceleration: float) -> None:

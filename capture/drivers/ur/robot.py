@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from koala3d.capture.drivers.errors import CaptureError, MotionError, NotReady, ProtectiveStop, RigConnectionError, StopLatched
 from koala3d.capture.drivers.measurements import RobotState
 from koala3d.capture.drivers.safety import Limits
-from koala3d.capture.drivers.ur.brake import STILL_RAD_S, Answer, Brake
 from koala3d.capture.drivers.ur.client import ClientChoice, StartFailure
 from koala3d.capture.drivers.ur.link import ChildLink, Sample
 from koala3d.capture.drivers.ur.pendant import Pendant, client_for, require_ready
 from koala3d.capture.drivers.ur.settling import Settling, Window
+from koala3d.capture.drivers.ur.stop_channel import STILL_RAD_S, StopChannel, StopReply
 from koala3d.capture.drivers.ur.timing import Deadlines
 from koala3d.capture.model.arm import identify
 from koala3d.capture.model.kinematics import pose_from_six
@@ -67,7 +67,7 @@ class UniversalRobot:
         self.host, self.limits, self.settling = host, limits or Limits(), settling or Settling()
         self.tolerance, self.frequency, self.deadlines = tolerance, frequency, deadlines or Deadlines()
         self.client, self.take_over = ClientChoice(client), take_over
-        self._brake = Brake(host)
+        self._stop_channel = StopChannel(host)
         self._link: ChildLink | None = None
         self._tcp_from_flange = np.eye(4)
         self._description: dict[str, Any] = {}
@@ -78,9 +78,9 @@ class UniversalRobot:
         """Connect. Raises RigConnectionError or NotReady, with nothing left open."""
         self.close()
         try:
-            pendant = self._brake.connect()
+            pendant = self._stop_channel.connect()
             require_ready(pendant, self.host)
-            self._brake.take(1.0 / self.deadlines.watchdog_hz + 1.0, by_force=self.take_over)
+            self._stop_channel.take(1.0 / self.deadlines.watchdog_hz + 1.0, by_force=self.take_over)
             self._link = ChildLink.start(
                 client_for(pendant, self.client, self.host), self.host, self.frequency, self.deadlines.watchdog_hz
             )
@@ -106,7 +106,7 @@ class UniversalRobot:
         link, self._link = self._link, None
         if link is not None:
             link.close()
-        self._brake.release()
+        self._stop_channel.release()
 
     def state(self, *, newer_than_ns: int = 0) -> RobotState:
         """The newest state, and where asked for one that arrived after a time of the monotonic host clock [ns].
@@ -165,12 +165,12 @@ class UniversalRobot:
         link = self._link
         if link is not None and link.request("stop", deceleration=3.0) and self._rests_within(2.0):
             return
-        answer = self._brake.stop()
-        if answer is not Answer.STOPPED and not self._rests_within(0.3):
+        answer = self._stop_channel.stop()
+        if answer is not StopReply.STOPPED and not self._rests_within(0.3):
             raise RigConnectionError(
                 "nothing confirms that the arm stops",
                 where=self.host,
-                why=self._brake.known(answer, None if link is None else link.newest),
+                why=self._stop_channel.known(answer, None if link is None else link.newest),
                 remedy="press the emergency stop",
             )
 
@@ -287,16 +287,16 @@ class UniversalRobot:
     def _stopped_error(self) -> CaptureError:
         why = "the arm stands still"
         if not self._rests_within(3.0):
-            why = self._brake.known(self._brake.stop(), None if self._link is None else self._link.newest)
+            why = self._stop_channel.known(self._stop_channel.stop(), None if self._link is None else self._link.newest)
         return MotionError("the motion was stopped on request", where=self.host, why=why)
 
     def _fault(self, what: str, kind: type[CaptureError] = MotionError, *, remedy: str = "resume the recording") -> CaptureError:
         """Stop the arm by every means, close, and find out what happened; an error of `kind` unless the controller knows more."""
-        answer = self._brake.stop()
+        answer = self._stop_channel.stop()
         link, self._link = self._link, None
         printed = link.kill() if link is not None else ""
-        safety, mode = self._brake.safety_and_mode()
-        known = self._brake.known(answer, None if link is None else link.newest)
+        safety, mode = self._stop_channel.safety_and_mode()
+        known = self._stop_channel.known(answer, None if link is None else link.newest)
         self.close()
         if safety == "PROTECTIVE_STOP":
             remedy = "look for the cause, release it at the pendant, then resume"
@@ -305,9 +305,9 @@ class UniversalRobot:
             remedy = "release it at the pendant, switch the arm on, then resume"
             why = f"safety status {safety}, robot mode {mode}"
             return NotReady("the robot is stopped for safety", where=self.host, why=why, remedy=remedy)
-        if answer is Answer.SILENT:
+        if answer is StopReply.SILENT:
             kind, remedy = RigConnectionError, "the arm stops by its own watchdog; check network and controller, then resume"
-        elif answer is Answer.REFUSED:
+        elif answer is StopReply.REFUSED:
             remedy = "see at the pendant what its program does, and stop it there"
         return kind(what, where=self.host, why="; ".join(filter(None, (known, printed))), remedy=remedy)
 

@@ -22,7 +22,7 @@ COUNT = 200
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class ReachableView:
     """One view that the arm can take."""
 
     solutions: Solutions
@@ -51,7 +51,7 @@ def _denser(group: Views, factor: float) -> Views:
 
 def within_reach(
     viewpoints: list[Viewpoint], obstacles: Obstacles, done: Callable[[], None] = lambda: None
-) -> tuple[list[Candidate], list[str]]:
+) -> tuple[list[ReachableView], list[str]]:
     """The views that the arm can take, and for each of the others the reason; `done` is called after each."""
     found, reasons = [], []
     for viewpoint in viewpoints:
@@ -59,12 +59,12 @@ def within_reach(
         if solved.reason:
             reasons.append(solved.reason)
         else:
-            found.append(Candidate(solved, viewpoint.camera_pose(obstacles.carrier)))
+            found.append(ReachableView(solved, viewpoint.camera_pose(obstacles.carrier)))
         done()
     return found, reasons
 
 
-def see(candidates: list[Candidate], places: Places, obstacles: Obstacles, eye: Eye, camera: Camera | None) -> Seen:
+def see(candidates: list[ReachableView], places: Places, obstacles: Obstacles, eye: Eye, camera: Camera | None) -> Seen:
     """How the candidates see the places. Of a picture's longer side only the middle counts: a roll may turn it."""
     square = None if camera is None else whichever_way_up(camera)
     poses = [eye(obstacles.flange_for(one.base_from_camera), one.solutions.joints[0]) for one in candidates]

@@ -18,7 +18,7 @@ from koala3d.capture.model.trajectory import Trajectory
 from koala3d.capture.model.viewpoints import CameraPose, PoseViews, Viewpoint
 from koala3d.capture.planning import Obstacles
 from koala3d.capture.sessions.adaptive import gain
-from koala3d.capture.sessions.adaptive.candidates import Candidate, dense, see, seen_from, within_reach
+from koala3d.capture.sessions.adaptive.candidates import ReachableView, dense, see, seen_from, within_reach
 from koala3d.capture.sessions.adaptive.gain import ENOUGH, Coverage, Seen
 from koala3d.capture.sessions.adaptive.loop import ANGLES, LEAST, MOST
 from koala3d.capture.sessions.adaptive.places import Places, of_mesh
@@ -142,7 +142,7 @@ def greedy(places: Places, seen: Seen, until: float, views: int) -> list[int]:
     return chosen
 
 
-def _tests(trajectory: Trajectory, obstacles: Obstacles) -> list[Candidate]:
+def _tests(trajectory: Trajectory, obstacles: Obstacles) -> list[ReachableView]:
     return within_reach([view for view in trajectory.viewpoints() if view.split == "test"], obstacles)[0]
 
 

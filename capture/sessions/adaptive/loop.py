@@ -12,7 +12,7 @@ from koala3d.capture.drivers.errors import PlanningError
 from koala3d.capture.model.trajectory import Motion
 from koala3d.capture.planning import Obstacles, move_duration
 from koala3d.capture.sessions.adaptive import gain
-from koala3d.capture.sessions.adaptive.candidates import Candidate, see, seen_from
+from koala3d.capture.sessions.adaptive.candidates import ReachableView, see, seen_from
 from koala3d.capture.sessions.adaptive.gain import Coverage, Seen
 from koala3d.capture.sessions.adaptive.places import Places
 from koala3d.capture.sessions.adaptive.sight import Eye
@@ -21,7 +21,7 @@ from koala3d.datasets.camera_model import Camera
 Array = NDArray[np.float64]
 
 ANGLES = 0.1
-"""What a new direction onto a place is worth, of what it is worth to see the place at all."""
+"""Worth of a new viewing direction on a place, relative to the worth of a first view of it."""
 PRICE = 0.0005
 """What a second of travel costs, as a share of the surface."""
 LEAST = 0.001
@@ -40,7 +40,7 @@ REASONS = {
 
 
 @dataclass(frozen=True)
-class Goal:
+class CoverageGoal:
     """When the session ends; what is None does not end it."""
 
     until_coverage: float | None = None
@@ -90,7 +90,7 @@ class Known:
     """Where the shape comes from, in words."""
 
 
-class Arm(Protocol):
+class ViewTaker(Protocol):
     """What takes the views: a rig with its recording, or a rehearsal."""
 
     @property
@@ -116,7 +116,7 @@ class Arm(Protocol):
 
 
 @dataclass(frozen=True)
-class Outcome:
+class CoverageOutcome:
     """Why the loop ended (a key of `REASONS`), and how far the surface is covered."""
 
     reason: str
@@ -124,10 +124,10 @@ class Outcome:
     known: Known
 
 
-class Reach:
+class CandidateViews:
     """The candidates, and how they see the places that are known at the time."""
 
-    def __init__(self, candidates: list[Candidate], obstacles: Obstacles, eye: Eye) -> None:
+    def __init__(self, candidates: list[ReachableView], obstacles: Obstacles, eye: Eye) -> None:
         self.candidates, self.obstacles, self.eye = candidates, obstacles, eye
         self._seen: tuple[Places, Seen] | None = None
 
@@ -139,8 +139,13 @@ class Reach:
 
 
 def run(
-    reach: Reach, arm: Arm, goal: Goal, motion: Motion, *, show: Callable[[int, Why, Coverage], None] = lambda *_: None
-) -> Outcome:
+    reach: CandidateViews,
+    arm: ViewTaker,
+    goal: CoverageGoal,
+    motion: Motion,
+    *,
+    show: Callable[[int, Why, Coverage], None] = lambda *_: None,
+) -> CoverageOutcome:
     """Take views until the goal is reached or nothing helps. Continues where the views that `arm` has already taken end.
 
     Args:
@@ -154,23 +159,25 @@ def run(
         if last is not None:
             show(arm.taken, last, coverage)
         if goal.until_coverage is not None and coverage.covered >= goal.until_coverage:
-            return Outcome(COVERED, coverage, known)
+            return CoverageOutcome(COVERED, coverage, known)
         if arm.taken >= (goal.views or MOST):
-            return Outcome(ENOUGH_VIEWS, coverage, known)
+            return CoverageOutcome(ENOUGH_VIEWS, coverage, known)
         if goal.minutes is not None and arm.seconds >= 60 * goal.minutes:
-            return Outcome(TIME, coverage, known)
+            return CoverageOutcome(TIME, coverage, known)
         surface = gain.surface_gains(known.places, taken, seen)
         flown, ahead = (gain.directions(known.places.points, views.eyes) for views in (taken, seen))
         nearest = gain.nearest_directions(flown, taken.well, ahead)
         angles = ANGLES * gain.angle_gains(known.places, known.changing, taken, seen, nearest)
         if (surface + angles).max(initial=0.0) < LEAST:
-            return Outcome(NOTHING, coverage, known)
+            return CoverageOutcome(NOTHING, coverage, known)
         last = _take(reach.candidates, arm, surface, angles, coverage.covered, motion)
         if last is None:
-            return Outcome(NO_PATH, coverage, known)
+            return CoverageOutcome(NO_PATH, coverage, known)
 
 
-def _take(candidates: list[Candidate], arm: Arm, surface: Array, angles: Array, covered: float, motion: Motion) -> Why | None:
+def _take(
+    candidates: list[ReachableView], arm: ViewTaker, surface: Array, angles: Array, covered: float, motion: Motion
+) -> Why | None:
     """Take the view with the largest gain less its travel; None where no path leads to one that adds something."""
     present = arm.joints()
     ends = [one.solutions.joints[one.nearest(present)] for one in candidates]

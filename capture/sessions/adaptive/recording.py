@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from koala3d.capture.model.trajectory import Trajectory
 from koala3d.capture.recording.growing import GrowingRecording, Use
 from koala3d.capture.rig.rig import Rig
-from koala3d.capture.sessions.adaptive.loop import Known, Outcome, Why
+from koala3d.capture.sessions.adaptive.loop import CoverageOutcome, Known, Why
 from koala3d.capture.sessions.adaptive.shape import Shape
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.core.schema import validate
@@ -26,7 +26,7 @@ COMMAND = "capture run --adaptive"
 
 
 class ChosenRecording:
-    """A rig and its recording; implements `capture.sessions.adaptive.loop.Arm`."""
+    """A rig and its recording; implements `capture.sessions.adaptive.loop.ViewTaker`."""
 
     def __init__(self, trajectory: Trajectory, rig: Rig, out: Path, shape: Shape) -> None:
         self.recording, self.shape = GrowingRecording(trajectory, rig, out, COMMAND), shape
@@ -63,7 +63,7 @@ class ChosenRecording:
         """What the training views on the disk show."""
         return self.shape.known()
 
-    def ended(self, outcome: Outcome, words: str) -> None:
+    def ended(self, outcome: CoverageOutcome, words: str) -> None:
         """Write why the session ended."""
         coverage = {"covered": outcome.coverage.covered, "reachable": outcome.coverage.reachable}
         end = {"reason": outcome.reason, "words": words, "shape": outcome.known.source, **coverage}

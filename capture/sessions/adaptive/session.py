@@ -10,11 +10,11 @@ from koala3d.capture.planning import Obstacles
 from koala3d.capture.sessions.adaptive import loop
 from koala3d.capture.sessions.adaptive.candidates import COUNT, dense, within_reach
 from koala3d.capture.sessions.adaptive.gain import ENOUGH, Coverage
-from koala3d.capture.sessions.adaptive.loop import Goal, Outcome, Reach, Why
+from koala3d.capture.sessions.adaptive.loop import CandidateViews, CoverageGoal, CoverageOutcome, Why
 from koala3d.capture.sessions.adaptive.recording import ChosenRecording
 from koala3d.capture.sessions.adaptive.shape import Shape, eye_of
 from koala3d.capture.sessions.adaptive.tour import TourView, tour
-from koala3d.capture.sessions.start import Options
+from koala3d.capture.sessions.start import SessionOptions
 from koala3d.datasets.calibration import Calibration
 from koala3d.datasets.core import console
 from koala3d.datasets.core.errors import UsageError
@@ -22,7 +22,9 @@ from koala3d.datasets.core.errors import UsageError
 Show = Callable[[int, Why, Coverage | None], None]
 
 
-def run(trajectory: Trajectory, out: Path, goal: Goal, options: Options, calibration: Calibration | None, show: Show) -> Outcome:
+def run(
+    trajectory: Trajectory, out: Path, goal: CoverageGoal, options: SessionOptions, calibration: Calibration | None, show: Show
+) -> CoverageOutcome:
     """Record a session.
 
     Args:
@@ -39,7 +41,7 @@ def run(trajectory: Trajectory, out: Path, goal: Goal, options: Options, calibra
     eye = eye_of(carrier.flange_from_camera, calibration)
     shape = Shape(trajectory, out, eye, calibration)
     obstacles = Obstacles.of(trajectory, carrier)
-    reach = Reach(_reachable(trajectory, obstacles), obstacles, eye)
+    reach = CandidateViews(_reachable(trajectory, obstacles), obstacles, eye)
     first, lost = tour(trajectory, carrier)
     if lost:
         console.hint(f"{lost} test views of the trajectory cannot be taken and are left out")
@@ -62,7 +64,7 @@ def check(trajectory: Trajectory) -> None:
         raise UsageError("a session that chooses its views turns no turntable", where=trajectory.name, remedy=remedy)
 
 
-def _reachable(trajectory: Trajectory, obstacles: Obstacles) -> list[loop.Candidate]:
+def _reachable(trajectory: Trajectory, obstacles: Obstacles) -> list[loop.ReachableView]:
     viewpoints = dense(trajectory, COUNT)
     with console.progress("planning", len(viewpoints), "views") as bar:
         found, reasons = within_reach(viewpoints, obstacles, bar.advance)
@@ -73,7 +75,7 @@ def _reachable(trajectory: Trajectory, obstacles: Obstacles) -> list[loop.Candid
     return found
 
 
-def _tour(recording: ChosenRecording, first: list[TourView], goal: Goal, show: Show) -> None:
+def _tour(recording: ChosenRecording, first: list[TourView], goal: CoverageGoal, show: Show) -> None:
     """Take the first views that are missing."""
     for view in first[recording.taken :]:
         if recording.taken >= (goal.views or len(first)) or (goal.minutes and recording.seconds >= 60 * goal.minutes):
@@ -89,7 +91,7 @@ def show(views: int, why: Why, coverage: Coverage | None) -> None:
     console.hint(f"view {views - 1:03d}: {why.words}{after}")
 
 
-def describe(out: Path, outcome: Outcome, views: int, seconds: float) -> str:
+def describe(out: Path, outcome: CoverageOutcome, views: int, seconds: float) -> str:
     """The outcome in a few lines."""
     coverage = outcome.coverage
     lines = [f"{out}: {views} views in {seconds:.0f} s", f"ended: {loop.REASONS[outcome.reason]}"]
@@ -105,7 +107,7 @@ def describe(out: Path, outcome: Outcome, views: int, seconds: float) -> str:
     return "\n".join(lines)
 
 
-def facts(out: Path, outcome: Outcome, views: int, seconds: float) -> dict[str, Any]:
+def facts(out: Path, outcome: CoverageOutcome, views: int, seconds: float) -> dict[str, Any]:
     """The outcome for a program."""
     coverage = {"covered": outcome.coverage.covered, "reachable": outcome.coverage.reachable}
     found = {"recording": str(out), "frames": views, "seconds": round(seconds, 2)}

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 
 class AdvisedRig:
-    """A rig, its recording, and the adviser who reads it; implements `capture.sessions.calibrate.loop.Arm`.
+    """A rig, its recording, and the adviser who reads it; implements `capture.sessions.calibrate.loop.BoardViewTaker`.
 
     Args:
         trajectory: settings of camera, motion and safety, and the target. Its own views only say where the camera may be.

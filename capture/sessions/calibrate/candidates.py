@@ -32,7 +32,7 @@ class Reach:
 
 
 @dataclass(frozen=True)
-class Candidate:
+class BoardView:
     """One reachable view."""
 
     base_from_flange: Array  # (4, 4) by the nominal kinematics
@@ -52,7 +52,7 @@ def reach_of(trajectory: Trajectory, carrier: Carrier, base_from_board: Array) -
     return Reach(places.min(axis=0) - ROOM_M, places.max(axis=0) + ROOM_M, span, Obstacles.of(trajectory, carrier))
 
 
-def draw(trajectory: Trajectory, reach: Reach, base_from_board: Array, seed: int, count: int = COUNT) -> list[Candidate]:
+def draw(trajectory: Trajectory, reach: Reach, base_from_board: Array, seed: int, count: int = COUNT) -> list[BoardView]:
     """Up to `count` views of the board that the arm can take; none where it can take none."""
     rng, found = np.random.default_rng([seed, 19]), []
     for _ in range(TRIES * count):
@@ -64,7 +64,7 @@ def draw(trajectory: Trajectory, reach: Reach, base_from_board: Array, seed: int
             continue
         solved = solve(Viewpoint(base_from_camera), reach.obstacles)
         if not solved.reason:
-            found.append(Candidate(reach.obstacles.flange_for(base_from_camera), solved.joints))
+            found.append(BoardView(reach.obstacles.flange_for(base_from_camera), solved.joints))
     return found
 
 

@@ -13,7 +13,7 @@ from koala3d.capture.model.carrier import Carrier
 from koala3d.capture.model.trajectory import Trajectory
 from koala3d.capture.planning import move_duration
 from koala3d.capture.sessions.calibrate import candidates
-from koala3d.capture.sessions.calibrate.candidates import Candidate
+from koala3d.capture.sessions.calibrate.candidates import BoardView
 from koala3d.datasets.advice import Answer, Figures, Question
 
 Array = NDArray[np.float64]
@@ -37,7 +37,7 @@ REASONS = {
 
 
 @dataclass(frozen=True)
-class Goal:
+class AccuracyGoal:
     """When the session is good enough, and when it ends in any case."""
 
     until: Figures = (0.05, 0.01)
@@ -45,7 +45,7 @@ class Goal:
     least_gain: float = 0.01  # share by which the best view must lower the squares of the errors
 
 
-class Arm(Protocol):
+class BoardViewTaker(Protocol):
     """What takes the views: a rig with its recording, or a rehearsal."""
 
     @property
@@ -66,7 +66,7 @@ class Arm(Protocol):
 
 
 @dataclass(frozen=True)
-class Outcome:
+class CalibrationOutcome:
     """Why the loop ended (a key of `REASONS`), and the adviser's last word."""
 
     reason: str
@@ -84,8 +84,14 @@ def reached(figures: Figures | None, until: Figures) -> bool:
 
 
 def run(
-    trajectory: Trajectory, carrier: Carrier, arm: Arm, goal: Goal, *, seed: int = 0, show: Callable[[int, Answer], None]
-) -> Outcome:
+    trajectory: Trajectory,
+    carrier: Carrier,
+    arm: BoardViewTaker,
+    goal: AccuracyGoal,
+    *,
+    seed: int = 0,
+    show: Callable[[int, Answer], None],
+) -> CalibrationOutcome:
     """Take views until the goal is reached or nothing helps. Continues where the views that `arm` has already taken end.
 
     Args:
@@ -100,9 +106,9 @@ def run(
         if reached(answer.figures, goal.until):
             answer = arm.ask(Question(anew=True, candidates=pool.flanges))
             if reached(answer.figures, goal.until):
-                return Outcome(REACHED, answer)
+                return CalibrationOutcome(REACHED, answer)
         if arm.taken >= goal.max_views:
-            return Outcome(ENOUGH_VIEWS, answer)
+            return CalibrationOutcome(ENOUGH_VIEWS, answer)
         if answer.board is None:
             reason = _look(trajectory, carrier, arm)
         elif blind >= LOST:
@@ -113,7 +119,7 @@ def run(
                 answer = arm.ask(Question(candidates=pool.flanges))
             reason = _choose(trajectory, pool, arm, answer, goal)
         if reason:
-            return Outcome(reason, answer)
+            return CalibrationOutcome(reason, answer)
 
 
 class _Pool:
@@ -121,7 +127,7 @@ class _Pool:
 
     def __init__(self, trajectory: Trajectory, carrier: Carrier, seed: int) -> None:
         self.trajectory, self.carrier, self.seed = trajectory, carrier, seed
-        self.found: list[Candidate] = []
+        self.found: list[BoardView] = []
         self.well = False  # whether a calibration said where the board is
         self.drawn = False
 
@@ -144,7 +150,7 @@ class _Pool:
         self.well, self.drawn = answer.figures is not None, True
 
 
-def _look(trajectory: Trajectory, carrier: Carrier, arm: Arm) -> str:
+def _look(trajectory: Trajectory, carrier: Carrier, arm: BoardViewTaker) -> str:
     """Take the next view that looks for the board; the reason why there is none, or nothing."""
     views = candidates.looking(trajectory, carrier, arm.joints(), LOOKS)
     for joints in views[arm.taken :]:
@@ -156,7 +162,7 @@ def _look(trajectory: Trajectory, carrier: Carrier, arm: Arm) -> str:
     return NOT_FOUND
 
 
-def _choose(trajectory: Trajectory, pool: _Pool, arm: Arm, answer: Answer, goal: Goal) -> str:
+def _choose(trajectory: Trajectory, pool: _Pool, arm: BoardViewTaker, answer: Answer, goal: AccuracyGoal) -> str:
     """Take the view that tells most; the reason why there is none, or nothing."""
     sizes = np.array([np.inf if one is None else size(one, goal.until) for one in answer.expected])
     if not np.isfinite(sizes).any():

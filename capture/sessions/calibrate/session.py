@@ -10,8 +10,8 @@ from koala3d.capture.model.trajectory import Trajectory
 from koala3d.capture.sessions.calibrate import loop
 from koala3d.capture.sessions.calibrate.advised import AdvisedRig
 from koala3d.capture.sessions.calibrate.adviser import Adviser
-from koala3d.capture.sessions.calibrate.loop import Goal, Outcome
-from koala3d.capture.sessions.start import Options
+from koala3d.capture.sessions.calibrate.loop import AccuracyGoal, CalibrationOutcome
+from koala3d.capture.sessions.start import SessionOptions
 from koala3d.datasets.advice import Answer, Figures, Question
 from koala3d.datasets.core import console
 from koala3d.datasets.core.errors import UsageError
@@ -20,8 +20,14 @@ BAR = 24  # characters of the longer bar
 
 
 def run(
-    trajectory: Trajectory, out: Path, goal: Goal, options: Options, arm: list[str], *, show: Callable[[int, Answer], None]
-) -> Outcome:
+    trajectory: Trajectory,
+    out: Path,
+    goal: AccuracyGoal,
+    options: SessionOptions,
+    arm: list[str],
+    *,
+    show: Callable[[int, Answer], None],
+) -> CalibrationOutcome:
     """Record a session and write its calibration; the outcome has the last answer, with hints.
 
     Args:
@@ -42,7 +48,7 @@ def run(
         if options.resume:
             recording.resume()
         outcome = loop.run(trajectory, rig.carrier, recording, goal, seed=options.seed, show=show)
-        return Outcome(outcome.reason, adviser.ask(Question(finish=True)) if outcome.answer.views else outcome.answer)
+        return CalibrationOutcome(outcome.reason, adviser.ask(Question(finish=True)) if outcome.answer.views else outcome.answer)
 
 
 def show(views: int, answer: Answer, until: Figures) -> None:
@@ -65,7 +71,7 @@ def bar(ratio: float) -> str:
     return ("#" * filled).ljust(BAR, ".")
 
 
-def describe(out: Path, outcome: Outcome, goal: Goal) -> str:
+def describe(out: Path, outcome: CalibrationOutcome, goal: AccuracyGoal) -> str:
     """The outcome in a few lines."""
     answer = outcome.answer
     lines = [f"ended: {loop.REASONS[outcome.reason]}"]
@@ -81,7 +87,7 @@ def describe(out: Path, outcome: Outcome, goal: Goal) -> str:
     return "\n".join([*lines, f"written to {answer.calibration}"])
 
 
-def advice(outcome: Outcome) -> list[str]:
+def advice(outcome: CalibrationOutcome) -> list[str]:
     """What would help, by the reason for the end."""
     if outcome.reason == loop.NOT_FOUND:
         return ["light and focus in which the board is seen, its description in 'target', or views that look elsewhere"]
@@ -90,7 +96,7 @@ def advice(outcome: Outcome) -> list[str]:
     return outcome.answer.hints
 
 
-def facts(out: Path, outcome: Outcome, goal: Goal) -> dict[str, Any]:
+def facts(out: Path, outcome: CalibrationOutcome, goal: AccuracyGoal) -> dict[str, Any]:
     """The outcome for a program."""
     answer = outcome.answer
     figures = answer.figures or (None, None)

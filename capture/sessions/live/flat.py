@@ -1,7 +1,8 @@
 """Measures the response of a camera: pictures of darkness, then of an evenly lit grey card."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,9 +38,8 @@ def statistics(camera: Camera, count: int, advance: Advance) -> Statistics:
     return Statistics.of(pictures())
 
 
-def measured(camera: Camera, dark: Statistics, card: Statistics) -> Response:
-    """The response of a camera, from statistics of pictures that it took in darkness and of a card."""
-    said = camera.description()
+def measured(said: Mapping[str, Any], dark: Statistics, card: Statistics) -> Response:
+    """The response of a camera with a description, from statistics of pictures that it took in darkness and of a card."""
     region = Region.from_json(said["region"], where="camera")
     name, gain = said["pixel_format"], float(said["gain_db"])
     return response(dark, card, serial=said["serial"], pixel_format=name, region=region, gain_db=gain, raw=name.endswith("12"))

@@ -1,6 +1,6 @@
 """The dashboard server's protocol: one line in, one line out."""
 
-from koala3d.capture.sim.controller.arm import Arm, RobotMode, Safety
+from koala3d.capture.sim.controller.arm import RobotMode, Safety, SimulatedArm
 from koala3d.capture.sim.controller.state import Controller
 
 GREETING = "Connected: Universal Robots Dashboard Server"
@@ -38,7 +38,7 @@ def reply(controller: Controller, line: str) -> str:
     return _act(arm, word)
 
 
-def _act(arm: Arm, word: str) -> str:
+def _act(arm: SimulatedArm, word: str) -> str:
     if word == "unlock protective stop":
         if arm.safety is Safety.PROTECTIVE_STOP:
             arm.safety = Safety.NORMAL

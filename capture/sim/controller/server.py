@@ -13,7 +13,7 @@ from contextlib import contextmanager
 
 from koala3d.capture.drivers.ur.rtde import wire
 from koala3d.capture.sim.controller import dashboard, script
-from koala3d.capture.sim.controller.arm import Arm
+from koala3d.capture.sim.controller.arm import SimulatedArm
 from koala3d.capture.sim.controller.installation import Installation
 from koala3d.capture.sim.controller.outputs import Outputs
 from koala3d.capture.sim.controller.session import Session
@@ -26,7 +26,7 @@ log = logging.getLogger(__name__)
 class ControllerServer:
     """The ports of a controller, and the connections to them. Faults are triggered through `side_channel`."""
 
-    def __init__(self, arm: Arm, time_scale: float, installed: Installation) -> None:
+    def __init__(self, arm: SimulatedArm, time_scale: float, installed: Installation) -> None:
         self.controller = Controller(arm, time_scale, installed, self.report)
         self.sessions: list[Session] = []
         self._latency, self._held_until = random.Random(arm.seed), 0.0

@@ -9,7 +9,7 @@ import numpy as np
 from koala3d.capture.drivers.ur.rtde import wire
 from koala3d.capture.model.kinematics import six_from_pose
 from koala3d.capture.sim.controller import script
-from koala3d.capture.sim.controller.arm import Arm
+from koala3d.capture.sim.controller.arm import SimulatedArm
 from koala3d.capture.sim.controller.installation import Installation
 
 SIMULATED_INPUTS = ("standard_digital_output", "standard_digital_output_mask", "speed_slider_fraction", "speed_slider_mask")
@@ -23,7 +23,7 @@ class Controller:
         report: called with what goes wrong in a program.
     """
 
-    def __init__(self, arm: Arm, time_scale: float, installed: Installation, report: Callable[[str], None]) -> None:
+    def __init__(self, arm: SimulatedArm, time_scale: float, installed: Installation, report: Callable[[str], None]) -> None:
         self.arm, self.time_scale, self.installed, self.report = arm, time_scale, installed, report
         self.up, self.links = installed.up, arm.links  # as it was started
         self.program: script.ControlProgram | None = None

@@ -99,7 +99,7 @@ def controller() -> Iterator[SimulatedController]:
 
 @pytest.fixture(scope="module")
 def emulation() -> Iterator[tuple[Any, str]]:
-    with Basler(CameraSettings(), emulated=True).seen() as found:
+    with Basler(CameraSettings(), emulated=True).inspected() as found:
         yield found.nodes, found.serial
 
 

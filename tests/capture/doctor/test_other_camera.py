@@ -35,7 +35,7 @@ def test_what_is_wrong_with_a_realsense_is_named_and_nothing_else(usb, stated, w
 
     description = CameraDescription.model_validate({"model": "realsense", "depth": {}, **stated})
     asked = Device(model="realsense", depth=description.depth)
-    with RealSense(CameraSettings(), asked, emulation=SoftwareRealSense(SENSOR, usb=usb)).seen() as found:
+    with RealSense(CameraSettings(), asked, emulation=SoftwareRealSense(SENSOR, usb=usb)).inspected() as found:
         lines = check(found.nodes, found.serial, found.facts, description)
     assert {line.name for line in lines if line.verdict is Verdict.WRONG} == wrong
     assert all(line.remedy for line in lines if line.verdict is not Verdict.OK)

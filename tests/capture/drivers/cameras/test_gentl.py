@@ -80,7 +80,7 @@ def test_what_is_wrong_is_said(changes, words):
 
 def test_producers_are_found_by_the_standards_variable(monkeypatch):
     monkeypatch.setenv(PATHS, str(Path(PRODUCER).parent))
-    with GenTlCamera(SETTINGS, device(source="")).seen() as found:
+    with GenTlCamera(SETTINGS, device(source="")).inspected() as found:
         assert found.serial == "1" and found.nodes.read("PixelFormat") in found.nodes.symbolics("PixelFormat")
     monkeypatch.setenv(PATHS, "")
     with pytest.raises(RigConnectionError, match=f"no GenTL producer .*{PATHS} names none"):
@@ -89,7 +89,7 @@ def test_producers_are_found_by_the_standards_variable(monkeypatch):
 
 def test_the_doctor_asks_it_and_says_what_is_left():
     rig = RigDescription.model_validate({"camera": device().model_dump()})
-    with GenTlCamera(SETTINGS, device()).seen() as found:
+    with GenTlCamera(SETTINGS, device()).inspected() as found:
         lines = {line.name: line for line in examine_camera(found.nodes, found.serial, rig)}
         strict = {line.name: line for line in examine_camera(found.nodes, found.serial, RigDescription())}
     assert lines["camera serial"].verdict is Verdict.OK

@@ -36,7 +36,7 @@ for name, device, changes in json.loads(sys.argv[2]):
             found[name] = "opened"
     except CaptureError as error:
         found[name] = str(error)
-with GphotoCamera(settings, Device(**plain), pictures=pictures).seen() as shown:
+with GphotoCamera(settings, Device(**plain), pictures=pictures).inspected() as shown:
     lines = check(shown.nodes, shown.serial, {"firmware": "1"}, CameraDescription(**plain))
 found["doctor"] = {line.name: [str(line.verdict), line.found] for line in lines}
 print(json.dumps(found))

@@ -93,5 +93,5 @@ def test_units_of_exposure_go_there_and_back():
 
 
 def test_it_can_be_looked_at(film):
-    with OpenCvCamera(CameraSettings(), device(film)).seen() as found:
+    with OpenCvCamera(CameraSettings(), device(film)).inspected() as found:
         assert found.nodes.read("FRAME_WIDTH") == 64 and found.serial == film

@@ -9,8 +9,8 @@ from koala3d.capture.model.carrier import Carrier
 from koala3d.capture.model.rig import RigDescription
 from koala3d.capture.model.trajectory import Trajectory, load_trajectory
 from koala3d.capture.planning import Obstacles, connect
-from koala3d.capture.sessions.adaptive.candidates import Candidate, dense, within_reach
-from koala3d.capture.sessions.adaptive.loop import Known, Reach, Why
+from koala3d.capture.sessions.adaptive.candidates import ReachableView, dense, within_reach
+from koala3d.capture.sessions.adaptive.loop import CandidateViews, Known, Why
 from koala3d.capture.sessions.adaptive.places import Places, of_box
 from koala3d.capture.sessions.adaptive.shape import eye_of
 
@@ -19,7 +19,7 @@ CARRIER = RigDescription().carrier()
 
 @dataclass
 class FlyingArm:
-    """Implements `capture.sessions.adaptive.loop.Arm`; the object's surface is known."""
+    """Implements `capture.sessions.adaptive.loop.ViewTaker`; the object's surface is known."""
 
     places: Places
     obstacles: Obstacles
@@ -63,13 +63,13 @@ def obstacles(trajectory: Trajectory) -> Obstacles:
 
 
 @pytest.fixture(scope="session")
-def candidates(trajectory: Trajectory, obstacles: Obstacles) -> list[Candidate]:
+def candidates(trajectory: Trajectory, obstacles: Obstacles) -> list[ReachableView]:
     return within_reach(dense(trajectory, 50), obstacles)[0]
 
 
 @pytest.fixture
-def reach(candidates: list[Candidate], obstacles: Obstacles) -> Reach:
-    return Reach(candidates, obstacles, eye_of(CARRIER.flange_from_camera, None))
+def reach(candidates: list[ReachableView], obstacles: Obstacles) -> CandidateViews:
+    return CandidateViews(candidates, obstacles, eye_of(CARRIER.flange_from_camera, None))
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ import pytest
 from koala3d.capture.drivers.errors import PlanningError
 from koala3d.capture.sessions.adaptive import gain, loop
 from koala3d.capture.sessions.adaptive.candidates import seen_from
-from koala3d.capture.sessions.adaptive.loop import Goal, Reach, Why
+from koala3d.capture.sessions.adaptive.loop import CandidateViews, CoverageGoal, Why
 
 
 def run(reach, arm, trajectory, goal):
@@ -14,7 +14,7 @@ def run(reach, arm, trajectory, goal):
 
 
 def test_a_session_ends_where_the_surface_is_covered(reach, arm, trajectory):
-    outcome, shown = run(reach, arm, trajectory, Goal(until_coverage=0.9))
+    outcome, shown = run(reach, arm, trajectory, CoverageGoal(until_coverage=0.9))
     assert outcome.reason == loop.COVERED and outcome.coverage.covered >= 0.9
     before = [coverage.covered for _, _, coverage in shown]
     assert before == sorted(before) and before[-2] < 0.9 and [views for views, _, _ in shown] == list(range(1, arm.taken + 1))
@@ -26,7 +26,7 @@ def test_a_session_ends_where_the_surface_is_covered(reach, arm, trajectory):
 
 
 def test_chosen_views_cover_more_than_as_many_spread_ones(reach, arm, trajectory, candidates):
-    outcome, _ = run(reach, arm, trajectory, Goal(views=14))
+    outcome, _ = run(reach, arm, trajectory, CoverageGoal(views=14))
     assert outcome.reason == loop.ENOUGH_VIEWS and arm.taken == 14
     spread = [one.base_from_camera for one in candidates][:: len(candidates) // 14][:14]
     seen = seen_from(np.array(spread), arm.places, None)
@@ -34,16 +34,16 @@ def test_chosen_views_cover_more_than_as_many_spread_ones(reach, arm, trajectory
 
 
 def test_a_session_ends_where_nothing_is_gained(reach, arm, trajectory):
-    outcome, shown = run(reach, arm, trajectory, Goal())
+    outcome, shown = run(reach, arm, trajectory, CoverageGoal())
     assert outcome.reason == loop.NOTHING and outcome.coverage.covered > 0.97
     arm.changing = 1.0
-    outcome, more = run(reach, arm, trajectory, Goal())
+    outcome, more = run(reach, arm, trajectory, CoverageGoal())
     assert outcome.reason == loop.NOTHING and more, "colours that change are worth more directions"
     assert all(why.angles > why.surface for _, why, _ in more) and not any(why.angles for _, why, _ in shown)
 
 
 def test_a_session_ends_when_its_time_is_over(reach, arm, trajectory):
-    outcome, _ = run(reach, arm, trajectory, Goal(minutes=0.1))
+    outcome, _ = run(reach, arm, trajectory, CoverageGoal(minutes=0.1))
     assert outcome.reason == loop.TIME and 6 <= arm.seconds < 12
 
 
@@ -57,14 +57,14 @@ def test_views_without_a_path_are_named(reach, arm, trajectory, monkeypatch):
         take(joints, why)
 
     monkeypatch.setattr(arm, "take", enclosed)
-    outcome, _ = run(reach, arm, trajectory, Goal())
+    outcome, _ = run(reach, arm, trajectory, CoverageGoal())
     assert outcome.reason == loop.NO_PATH and arm.taken == 1
 
 
 def test_travel_decides_between_equal_views(reach, arm, trajectory, candidates, obstacles):
     """Two candidates that are one: the arm takes neither the long way nor the same view twice for nothing."""
-    twice = Reach([candidates[0], candidates[0]], obstacles, reach.eye)
-    outcome, shown = run(twice, arm, trajectory, Goal())
+    twice = CandidateViews([candidates[0], candidates[0]], obstacles, reach.eye)
+    outcome, shown = run(twice, arm, trajectory, CoverageGoal())
     assert outcome.reason == loop.NOTHING and arm.taken == 3, "a place counts as covered after three views"
     assert shown[1][1].seconds == 0
 

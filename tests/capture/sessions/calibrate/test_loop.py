@@ -7,10 +7,10 @@ from koala3d.capture.model.trajectory import load_trajectory
 from koala3d.capture.planning import Obstacles
 from koala3d.capture.sessions.calibrate import candidates, loop
 from koala3d.capture.sessions.calibrate.adviser import Adviser, AdviserError
-from koala3d.capture.sessions.calibrate.bench import RehearsedArm
-from koala3d.capture.sessions.calibrate.loop import Goal
+from koala3d.capture.sessions.calibrate.loop import AccuracyGoal
 from koala3d.datasets import pose
 from koala3d.datasets.advice import Question
+from tests.bench.rehearsals import RehearsedArm
 
 NEVER = (1e-4, 1e-5)
 
@@ -22,7 +22,7 @@ def run(trajectory, carrier, arm, goal):
 
 
 def test_a_session_ends_where_both_errors_are_small_enough(trajectory, carrier, arm):
-    goal = Goal((0.2, 0.05))
+    goal = AccuracyGoal((0.2, 0.05))
     outcome, shown = run(trajectory, carrier, arm, goal)
     assert outcome.reason == loop.REACHED and loop.reached(outcome.answer.figures, goal.until)
     figures = [answer.figures for _, answer in shown if answer.figures]
@@ -34,18 +34,18 @@ def test_a_session_ends_where_both_errors_are_small_enough(trajectory, carrier, 
 
 
 def test_a_session_ends_at_the_largest_number_of_views(trajectory, carrier, arm):
-    outcome, _ = run(trajectory, carrier, arm, Goal(NEVER, max_views=6))
+    outcome, _ = run(trajectory, carrier, arm, AccuracyGoal(NEVER, max_views=6))
     assert outcome.reason == loop.ENOUGH_VIEWS and arm.taken == 6
 
 
 def test_a_session_ends_where_no_view_helps(trajectory, carrier, arm):
-    outcome, _ = run(trajectory, carrier, arm, Goal(NEVER, least_gain=0.9))
+    outcome, _ = run(trajectory, carrier, arm, AccuracyGoal(NEVER, least_gain=0.9))
     assert outcome.reason == loop.USELESS and outcome.answer.figures is not None and arm.taken < 10
 
 
 def test_a_board_that_is_elsewhere_is_looked_for_and_not_found(carrier, arm):
     aside = load_trajectory("calibration", overrides=["views.0.target=[-0.4, 0.0, 0.0]", "views.0.tilt_deg=[0, 10]"])
-    outcome, shown = run(aside, carrier, arm, Goal())
+    outcome, shown = run(aside, carrier, arm, AccuracyGoal())
     assert outcome.reason == loop.NOT_FOUND and 1 <= arm.taken <= loop.LOOKS
     assert not any(answer.seen for _, answer in shown)
 
@@ -60,7 +60,7 @@ class Covered(RehearsedArm):
 
 
 def test_a_board_that_is_covered_is_missed(trajectory, carrier, arm):
-    outcome, _ = run(trajectory, carrier, Covered(trajectory, arm.adviser, arm.obstacles), Goal())
+    outcome, _ = run(trajectory, carrier, Covered(trajectory, arm.adviser, arm.obstacles), AccuracyGoal())
     assert outcome.reason == loop.LOST_BOARD and outcome.answer.views == 3
 
 
@@ -70,7 +70,7 @@ def test_no_room_around_the_first_view_is_named(trajectory, carrier, arm):
     room = Box(centre=tuple(camera), size=(0.042, 0.042, 0.042))  # twice the clearance, and a millimetre to each side
     narrow = trajectory.model_copy(update={"safety": trajectory.safety.model_copy(update={"workspace": room})})
     arm.obstacles = Obstacles.of(narrow, carrier)
-    outcome, _ = run(narrow, carrier, arm, Goal())
+    outcome, _ = run(narrow, carrier, arm, AccuracyGoal())
     assert outcome.reason == loop.HIDDEN and arm.taken == 1
 
 
@@ -84,7 +84,7 @@ class Enclosed(RehearsedArm):
 
 
 def test_views_without_a_path_are_named(trajectory, carrier, arm):
-    outcome, _ = run(trajectory, carrier, Enclosed(trajectory, arm.adviser, arm.obstacles), Goal())
+    outcome, _ = run(trajectory, carrier, Enclosed(trajectory, arm.adviser, arm.obstacles), AccuracyGoal())
     assert outcome.reason == loop.NO_PATH
 
 

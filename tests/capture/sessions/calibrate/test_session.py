@@ -13,7 +13,7 @@ import pytest
 
 from koala3d.capture.cli import main
 from koala3d.capture.sessions.calibrate import loop, session
-from koala3d.capture.sessions.calibrate.loop import Goal, Outcome
+from koala3d.capture.sessions.calibrate.loop import AccuracyGoal, CalibrationOutcome
 from koala3d.datasets.advice import Answer
 from koala3d.datasets.calibration import Calibration
 from koala3d.datasets.core import files
@@ -117,11 +117,11 @@ def test_bars_vanish_as_the_wanted_error_is_reached():
 
 @pytest.mark.parametrize("reason", loop.REASONS)
 def test_every_end_is_told_in_words(reason):
-    goal = Goal((0.05, 0.01))
+    goal = AccuracyGoal((0.05, 0.01))
     figures = (0.04, 0.009) if reason == loop.REACHED else (0.2, 0.05)
     answer = Answer(views=9, figures=figures, calibration="session/calibration.json", hints=["more tilt: about half"])
-    said = session.describe(Path("session"), Outcome(reason, answer), goal)
+    said = session.describe(Path("session"), CalibrationOutcome(reason, answer), goal)
     assert loop.REASONS[reason] in said and f"{figures[0]:.4f} mm" in said
     assert ("what would help" in said) == (reason != loop.REACHED)
-    nothing = session.describe(Path("session"), Outcome(loop.NOT_FOUND, Answer()), goal)
+    nothing = session.describe(Path("session"), CalibrationOutcome(loop.NOT_FOUND, Answer()), goal)
     assert "no view shows the board" in nothing and "kept in session" in nothing

@@ -41,7 +41,7 @@ def recorded(tmp_path_factory) -> tuple[Path, Path]:
     with camera_for("sim_flawed", trajectory.model_copy(update={"camera": session("bayer12").camera}), scene="lens_cap") as dark:
         black = statistics(dark, 8, nothing)
     with camera_for("sim_flawed", session("bayer12"), scene="grey_card") as camera:
-        measured(camera, black, statistics(camera, 8, nothing)).save(folder / "flat.npz")
+        measured(camera.description(), black, statistics(camera, 8, nothing)).save(folder / "flat.npz")
     options = {"scene": "grey_card", "seed": 0, "time_scale": 200.0, "radiometry": folder / "flat.npz"}
     with open_rig("sim_flawed", trajectory, **options) as rig:
         record(trajectory, rig, folder / "recording")

@@ -5,7 +5,7 @@ import pytest
 
 from koala3d.capture.drivers.ur.rtde import wire
 from koala3d.capture.model.kinematics import forward
-from koala3d.capture.sim.controller.arm import Arm, Safety
+from koala3d.capture.sim.controller.arm import Safety, SimulatedArm
 from koala3d.capture.sim.controller.installation import Installation
 from koala3d.capture.sim.controller.outputs import Outputs
 from koala3d.capture.sim.controller.script import ControlProgram
@@ -16,7 +16,7 @@ GOAL = np.array([0.5, -1.2, 0.8, -1.5, -1.0, 0.2])
 
 @pytest.fixture
 def controller() -> Controller:
-    return Controller(Arm(0, np.zeros(6) - 0.5, 0.0, 0.0), 1.0, Installation(), report=print)
+    return Controller(SimulatedArm(0, np.zeros(6) - 0.5, 0.0, 0.0), 1.0, Installation(), report=print)
 
 
 def test_a_moment_is_one_moment_whatever_is_asked_and_when(controller):

@@ -12,7 +12,7 @@ import pytest
 
 from koala3d.capture.drivers.ur.rtde import program
 from koala3d.capture.drivers.ur.rtde.program import DONE, FIRST, READY, RUNNING_BIT, Command
-from koala3d.capture.sim.controller.arm import Arm
+from koala3d.capture.sim.controller.arm import SimulatedArm
 from koala3d.capture.sim.controller.script import ControlProgram
 from koala3d.datasets import pose
 
@@ -74,7 +74,7 @@ class Controller:
     """What the program sees of a controller; `cycle` runs every thread until it waits."""
 
     def __init__(self):
-        self.arm = Arm(0, HOME, 0.0, 0.0)
+        self.arm = SimulatedArm(0, HOME, 0.0, 0.0)
         self.now, self.watchdog = 0.0, None
         self.ints, self.floats = {FIRST: 0}, {}
         self.output_ints, self.output_floats = {}, {}
@@ -195,7 +195,7 @@ def test_only_documented_functions_and_own_ones_are_called():
 
 
 def test_the_simulated_controller_finds_the_registers():
-    assert ControlProgram(Arm(0, HOME, 0.0, 0.0), program.text()).offset == FIRST == 24
+    assert ControlProgram(SimulatedArm(0, HOME, 0.0, 0.0), program.text()).offset == FIRST == 24
 
 
 def test_a_motion_is_answered_at_once_and_reported_until_it_ends(controller):
@@ -282,7 +282,7 @@ def test_end_stops_the_arm_and_the_program(controller):
 
 def test_it_answers_as_the_simulated_program_does(controller):
     """One session of the driver, with both: the same numbers of motions, the same results, the same places."""
-    simulated = ControlProgram(Arm(0, HOME, 0.0, 0.0), program.text())
+    simulated = ControlProgram(SimulatedArm(0, HOME, 0.0, 0.0), program.text())
     simulated.arm.flange_from_tcp = pose.from_rotation_vector([0.0, 0.3, 0.0], [0.01, 0.02, 0.1])
     orders = [
         (Command.WATCHDOG, [5.0]),

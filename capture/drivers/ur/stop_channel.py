@@ -16,7 +16,7 @@ STILL_RAD_S = 0.01
 """Below this speed of its fastest joint an arm counts as at rest [rad/s]: ten times the noise of measured speeds."""
 
 
-class Answer(Enum):
+class StopReply(Enum):
     """What became of an order to stop."""
 
     STOPPED = "the arm was stopped"
@@ -25,14 +25,14 @@ class Answer(Enum):
     SILENT = "the controller does not answer a second connection either"
 
 
-class Brake:
-    """The connection of a driver to what the pendant controls. Any thread may stop the arm through it."""
+class StopChannel:
+    """A second connection to the controller, through which any thread may stop the arm when the first one hangs."""
 
     def __init__(self, host: str) -> None:
         self.host = host
         self.pendant: Pendant | None = None
         self._open: Callable[[str], Pendant] = pendant.connect
-        self.reply = ""  # of the controller, where it refused
+        self.reply = ""  # the controller's words if it refused
         self._ours = False  # whether a program that runs may be ended on leaving
         self._lock = threading.Lock()
 
@@ -57,7 +57,7 @@ class Brake:
         self._ours = True
         controller.stop()
 
-    def stop(self) -> Answer:
+    def stop(self) -> StopReply:
         """Order the controller to end its program; tries again over a new connection. Only the reply "Stopped" is a stop."""
         with self._lock:
             for attempt in range(2):
@@ -65,11 +65,11 @@ class Brake:
                     controller = self.connect() if attempt or self.pendant is None else self.pendant
                     self.reply = controller.stop()
                     if self.reply == "Stopped":
-                        return Answer.STOPPED
-                    return Answer.REFUSED if controller.program_state().startswith("PLAYING") else Answer.IDLE
+                        return StopReply.STOPPED
+                    return StopReply.REFUSED if controller.program_state().startswith("PLAYING") else StopReply.IDLE
                 except RigConnectionError:
                     continue
-        return Answer.SILENT
+        return StopReply.SILENT
 
     def safety_and_mode(self) -> tuple[str, str]:
         """What the controller says of them; empty where it does not answer."""
@@ -90,11 +90,11 @@ class Brake:
             finally:
                 controller.close()
 
-    def known(self, answer: Answer, sample: Sample | None) -> str:
+    def known(self, answer: StopReply, sample: Sample | None) -> str:
         """What is known of the arm after an order to stop, in words; `sample` is the newest one."""
-        if answer is Answer.STOPPED:
+        if answer is StopReply.STOPPED:
             return answer.value
-        refusal = f"{answer.value} ({self.reply!r})" if answer is Answer.REFUSED else answer.value
+        refusal = f"{answer.value} ({self.reply!r})" if answer is StopReply.REFUSED else answer.value
         return f"{refusal}; {motion_in_words(sample)}"
 
 

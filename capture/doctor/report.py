@@ -26,7 +26,7 @@ RATE_HZ, SAMPLE_S = 125.0, 4.0  # of the samples, and until the first one has co
 
 
 @dataclass(frozen=True)
-class Answers:
+class ControllerReport:
     """All that the controller says."""
 
     host: str
@@ -48,7 +48,7 @@ class Answers:
         return pose_from_six(self.sample["actual_TCP_pose"]) @ pose.inverse(pose_from_six(self.primary.tcp_offset))
 
 
-def ask(host: str, seconds: float) -> Answers:
+def ask(host: str, seconds: float) -> ControllerReport:
     """Put every question to a controller, and listen to its samples for some time."""
     silent: list[str] = []
 
@@ -61,7 +61,7 @@ def ask(host: str, seconds: float) -> Answers:
 
     replies, primary = tried(_dashboard, host), tried(listen, host)
     sample, arrivals = tried(_samples, host, seconds) or (None, np.zeros((0, 2)))
-    return Answers(host, replies, primary, sample, arrivals, tuple(silent))
+    return ControllerReport(host, replies, primary, sample, arrivals, tuple(silent))
 
 
 def _dashboard(host: str) -> dict[str, str]:
