@@ -32,7 +32,7 @@ def flat(
     session = load_trajectory(trajectory, overrides=settings)
     ask = not is_simulated(rig, describe(rig))
     series = {"lens_cap": "cover the lens", "grey_card": "fill the picture with an evenly lit grey card, out of focus"}
-    found = []
+    found, said = [], {}
     for scene, request in series.items():
         if ask:
             typer.confirm(f"{request}; ready?", default=True, abort=True, err=True)

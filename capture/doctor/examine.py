@@ -13,7 +13,7 @@ from koala3d.capture.doctor.report import ControllerReport, ask
 from koala3d.capture.drivers.cameras.base import InspectedCamera
 from koala3d.capture.drivers.cameras.nodes import Nodes
 from koala3d.capture.drivers.errors import CaptureError, NotReady
-from koala3d.capture.drivers.ur.timing import Deadlines
+from koala3d.capture.drivers.ur.link import Deadlines
 from koala3d.capture.model.rig import RigDescription
 from koala3d.capture.sim.camera_nodes import SimulatedNodes
 

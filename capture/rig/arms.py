@@ -20,9 +20,9 @@ def arm_of(
 ) -> Robot:
     """The arm of a rig, not connected; `controller` is its simulation."""
     from koala3d.capture.drivers.safety import Limits
+    from koala3d.capture.drivers.ur.link import Deadlines
     from koala3d.capture.drivers.ur.robot import UniversalRobot
     from koala3d.capture.drivers.ur.settling import Settling
-    from koala3d.capture.drivers.ur.timing import Deadlines
     from koala3d.capture.sim.kinematic_arm import KinematicArm
 
     motion, robot, arm = trajectory.motion, description.robot, description.arm

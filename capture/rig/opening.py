@@ -1,21 +1,25 @@
 """Opens a rig: a real one that a file describes, or a simulated one that a seed defines."""
 
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from koala3d.capture.drivers.errors import naming
+from koala3d.capture.drivers.protocols import Turntable
 from koala3d.capture.model.rig import RigDescription
 from koala3d.capture.model.trajectory import Trajectory
-from koala3d.capture.model.turntable import required
+from koala3d.capture.model.turntable import TurntableDescription, required
 from koala3d.capture.rig.arms import arm_of
 from koala3d.capture.rig.cameras import camera_in
 from koala3d.capture.rig.controllers import controller_of, host_of
 from koala3d.capture.rig.naming import describe
 from koala3d.capture.rig.rig import Rig
-from koala3d.capture.rig.turntable import open_turntable, simulated_turntable
 from koala3d.datasets.core.errors import UsageError
+
+if TYPE_CHECKING:
+    from koala3d.capture.sim.turntable import SimulatedTurntable
 
 Examination = Callable[[RigDescription, str, bool], None]
 """Gets the rig, the address of its controller, and whether it is simulated."""
@@ -63,7 +67,7 @@ def open_rig(
         seed = simulation.seed if simulation is not None and running else seed
         with ExitStack() as stack:
             simulated = None if controller is None else table
-            turned = stack.enter_context(simulated_turntable(simulated, seed=seed, time_scale=time_scale))
+            turned = stack.enter_context(_simulated_turntable(simulated, seed=seed, time_scale=time_scale))
             opened = {}
             for number, (camera_name, one) in enumerate(description.each.items()):
                 with naming(camera_name):
@@ -71,7 +75,7 @@ def open_rig(
                     opened[camera_name] = stack.enter_context(camera), one, truth
             robot = stack.enter_context(arm_of(description, trajectory, controller, take_over))
             driven = table if turned is None else turned.reached
-            turntable = stack.enter_context(open_turntable(driven))  # last, since it may turn to find its zero
+            turntable = stack.enter_context(_turntable(driven))  # last, since it may turn to find its zero
             extra = {} if controller is None else {"scene": scene, "seed": seed}
             rigs = {
                 camera_name: Rig(robot, camera, one, name, truth, extra, turntable)
@@ -79,3 +83,23 @@ def open_rig(
             }
             first = next(iter(rigs.values()))
             yield replace(first, cameras=rigs) if description.cameras else first
+
+
+def _turntable(table: TurntableDescription | None) -> AbstractContextManager[Turntable | None]:
+    """The driver, not connected; entering it connects, and turns the table if it looks for its switch."""
+    if table is None:
+        return nullcontext()
+    from koala3d.capture.drivers.turntable.grbl import GrblTurntable
+
+    return GrblTurntable(table)
+
+
+def _simulated_turntable(
+    table: TurntableDescription | None, *, seed: int, time_scale: float
+) -> AbstractContextManager["SimulatedTurntable | None"]:
+    """A simulated controller with the object on its table, not started; arguments as in `SimulatedTurntable`."""
+    if table is None:
+        return nullcontext()
+    from koala3d.capture.sim.turntable import SimulatedTurntable
+
+    return SimulatedTurntable(table, seed, time_scale)

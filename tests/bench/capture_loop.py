@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koala3d.capture.drivers.cameras.basler import Basler
+from koala3d.capture.drivers.ur.link import Deadlines
 from koala3d.capture.drivers.ur.robot import UniversalRobot
 from koala3d.capture.drivers.ur.settling import Settling
-from koala3d.capture.drivers.ur.timing import Deadlines
 from koala3d.capture.model.rig import RigDescription
 from koala3d.capture.model.trajectory import load_trajectory
 from koala3d.capture.planning import plan

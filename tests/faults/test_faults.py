@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from koala3d.capture.drivers.errors import CaptureError
+from koala3d.capture.drivers.ur.link import Deadlines
 from koala3d.capture.drivers.ur.robot import UniversalRobot
-from koala3d.capture.drivers.ur.timing import Deadlines
 from koala3d.capture.sim.controller.process import SimulatedController
 from koala3d.datasets.recording import Recording
 from tests.capture.moving import FAR, UNHURRIED, in_motion, moves, rests, stopped_on_its_way

@@ -12,6 +12,16 @@ from typing import IO, Any, Self
 
 
 @dataclass(frozen=True)
+class Deadlines:
+    """How long to wait, on the host's clock. A simulated arm on a busy computer needs longer deadlines than a real rig."""
+
+    stale_s: float = 0.2  # without a new sample for this long, the data stream counts as stopped [s]
+    watchdog_hz: float = 5.0  # the controller stops its program when it receives nothing for one period [Hz]
+    accept_s: float = 2.0  # until the controller accepts a motion [s]
+    connect_s: float = 15.0  # until the control program runs [s]
+
+
+@dataclass(frozen=True)
 class Sample:
     """One state as the child sent it, and when it arrived (monotonic host clock [s])."""
 

@@ -16,11 +16,10 @@ from koala3d.capture.drivers.errors import CaptureError, MotionError, NotReady, 
 from koala3d.capture.drivers.measurements import RobotState
 from koala3d.capture.drivers.safety import Limits
 from koala3d.capture.drivers.ur.client import ClientChoice, StartFailure
-from koala3d.capture.drivers.ur.link import ChildLink, Sample
+from koala3d.capture.drivers.ur.link import ChildLink, Deadlines, Sample
 from koala3d.capture.drivers.ur.pendant import Pendant, client_for, require_ready
 from koala3d.capture.drivers.ur.settling import Settling, Window
 from koala3d.capture.drivers.ur.stop_channel import STILL_RAD_S, StopChannel, StopReply
-from koala3d.capture.drivers.ur.timing import Deadlines
 from koala3d.capture.model.arm import identify
 from koala3d.capture.model.kinematics import pose_from_six
 from koala3d.datasets import pose

@@ -107,7 +107,7 @@ class ViewTaker(Protocol):
         """(n,) present joint angles [rad]."""
         ...
 
-    def take(self, joints: Array, why: Why) -> None:
+    def choose(self, joints: Array, why: Why) -> None:
         """Take one view. Raises PlanningError, before anything moves, where no path leads to it."""
 
     def known(self) -> Known:
@@ -187,7 +187,7 @@ def _take(
     for index in itertools.islice(useful, PATHS):
         why = Why("gain", float(surface[index]), float(angles[index]), float(seconds[index]), covered)
         try:
-            arm.take(ends[index], why)
+            arm.choose(ends[index], why)
         except PlanningError:
             continue
         return why

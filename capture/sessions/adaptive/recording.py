@@ -5,7 +5,6 @@ session ended.
 """
 
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -25,38 +24,30 @@ Array = NDArray[np.float64]
 COMMAND = "capture run --adaptive"
 
 
-class ChosenRecording:
+class ChosenRecording(GrowingRecording):
     """A rig and its recording; implements `capture.sessions.adaptive.loop.ViewTaker`."""
 
     def __init__(self, trajectory: Trajectory, rig: Rig, out: Path, shape: Shape) -> None:
-        self.recording, self.shape = GrowingRecording(trajectory, rig, out, COMMAND), shape
+        super().__init__(trajectory, rig, out, COMMAND)
+        self.shape = shape
         self._reasons: dict[str, dict[str, Any]] = {}
         self._began = time.monotonic()
 
-    def resume(self, advance: Callable[[str], None] = lambda name: None) -> None:
-        """Continue the recording in the folder, see `GrowingRecording.resume`; raises UsageError for another session."""
-        if self.recording.begun:
-            self._reasons = dict(_chosen(Recording.open(self.recording.out), self.recording.trajectory)["views"])
-        self.recording.resume(advance)
-
-    @property
-    def taken(self) -> int:
-        """Number of views so far."""
-        return self.recording.taken
+    def resume(self) -> None:
+        """See `GrowingRecording.resume`; raises UsageError for another session."""
+        if self.begun:
+            self._reasons = dict(_chosen(Recording.open(self.out), self.trajectory)["views"])
+        super().resume()
 
     @property
     def seconds(self) -> float:
         """Time since the rig was opened."""
         return time.monotonic() - self._began
 
-    def joints(self) -> Array:
-        """(n,) present joint angles [rad]."""
-        return self.recording.joints()
-
-    def take(self, joints: Array, why: Why, use: Use = "train") -> None:
-        """Record one view. Raises PlanningError, before anything moves or is written, where no path leads to it."""
+    def choose(self, joints: Array, why: Why, use: Use = "train") -> None:
+        """Record one view. Raises PlanningError, before anything moves or is written, if no path leads to it."""
         reasons = {**self._reasons, f"{self.taken:03d}": why.to_json()}
-        self.recording.take(joints, use=use, notes={CHOSEN: self._entry(reasons)})
+        self.take(joints, use=use, notes={CHOSEN: self._entry(reasons)})
         self._reasons = reasons
 
     def known(self) -> Known:
@@ -67,10 +58,10 @@ class ChosenRecording:
         """Write why the session ended."""
         coverage = {"covered": outcome.coverage.covered, "reachable": outcome.coverage.reachable}
         end = {"reason": outcome.reason, "words": words, "shape": outcome.known.source, **coverage}
-        self.recording.note({CHOSEN: {**self._entry(self._reasons), "ended": end}})
+        self.note({CHOSEN: {**self._entry(self._reasons), "ended": end}})
 
     def _entry(self, reasons: dict[str, dict[str, Any]]) -> dict[str, Any]:
-        return {"trajectory": self.recording.trajectory.model_dump(mode="json"), "views": reasons}
+        return {"trajectory": self.trajectory.model_dump(mode="json"), "views": reasons}
 
 
 def _chosen(recording: Recording, trajectory: Trajectory) -> dict[str, Any]:

@@ -81,7 +81,7 @@ def _tour(recording: ChosenRecording, first: list[TourView], goal: CoverageGoal,
         if recording.taken >= (goal.views or len(first)) or (goal.minutes and recording.seconds >= 60 * goal.minutes):
             return
         why = Why("first" if view.use == "train" else "test")
-        recording.take(view.joints, why, view.use)
+        recording.choose(view.joints, why, view.use)
         show(recording.taken, why, None)
 
 

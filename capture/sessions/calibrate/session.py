@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from koala3d.capture.model.trajectory import Trajectory
+from koala3d.capture.recording.growing import GrowingRecording
+from koala3d.capture.rig.rig import Rig
 from koala3d.capture.sessions.calibrate import loop
-from koala3d.capture.sessions.calibrate.advised import AdvisedRig
 from koala3d.capture.sessions.calibrate.adviser import Adviser
 from koala3d.capture.sessions.calibrate.loop import AccuracyGoal, CalibrationOutcome
 from koala3d.capture.sessions.start import SessionOptions
@@ -17,6 +18,18 @@ from koala3d.datasets.core import console
 from koala3d.datasets.core.errors import UsageError
 
 BAR = 24  # characters of the longer bar
+
+
+class AdvisedRecording(GrowingRecording):
+    """A rig, its recording, and the adviser who reads it; implements `capture.sessions.calibrate.loop.BoardViewTaker`."""
+
+    def __init__(self, trajectory: Trajectory, rig: Rig, out: Path, adviser: Adviser) -> None:
+        super().__init__(trajectory, rig, out, "capture calibrate")
+        self.adviser = adviser
+
+    def ask(self, question: Question) -> Answer:
+        """Ask the adviser, who reads every view on the disk."""
+        return self.adviser.ask(question)
 
 
 def run(
@@ -44,7 +57,7 @@ def run(
     options = replace(options, scene=scene_for(options.rig, options.scene, trajectory))
     until = ["--until", *map(str, goal.until)]
     with Adviser(str(out), [*arm, *until]) as adviser, options.opened(trajectory, out) as rig:
-        recording = AdvisedRig(trajectory, rig, out, adviser)
+        recording = AdvisedRecording(trajectory, rig, out, adviser)
         if options.resume:
             recording.resume()
         outcome = loop.run(trajectory, rig.carrier, recording, goal, seed=options.seed, show=show)

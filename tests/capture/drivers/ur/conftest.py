@@ -4,9 +4,9 @@ from collections.abc import Callable
 
 import pytest
 
+from koala3d.capture.drivers.ur.link import Deadlines
 from koala3d.capture.drivers.ur.robot import UniversalRobot
 from koala3d.capture.drivers.ur.settling import Settling
-from koala3d.capture.drivers.ur.timing import Deadlines
 
 BUSY = Deadlines(stale_s=1.0, watchdog_hz=1.0)
 """Tests run beside others on two cores: a pause of half a second is no fault there."""

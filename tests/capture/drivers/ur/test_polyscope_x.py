@@ -124,7 +124,7 @@ def test_without_primary_interface_it_cannot_be_reached(simulated):
 
 def test_the_arm_stops_when_the_program_is_killed(simulated):
     code = f"""if True:
-        from koala3d.capture.drivers.ur.timing import Deadlines
+        from koala3d.capture.drivers.ur.link import Deadlines
         from koala3d.capture.drivers.ur.robot import UniversalRobot
         with UniversalRobot({simulated.host!r}, deadlines=Deadlines(stale_s=1.0, watchdog_hz=1.0)) as robot:
             print("ready", flush=True)

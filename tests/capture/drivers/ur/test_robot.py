@@ -216,7 +216,7 @@ def test_an_arm_that_never_rests_names_its_spread_and_the_key(connect):
 def test_the_arm_stops_when_the_whole_program_is_killed(client, slow):
     code = """if True:
         import sys
-        from koala3d.capture.drivers.ur.timing import Deadlines
+        from koala3d.capture.drivers.ur.link import Deadlines
         from koala3d.capture.drivers.ur.robot import UniversalRobot
         with UniversalRobot(sys.argv[1], client=sys.argv[2], deadlines=Deadlines(stale_s=1.0, watchdog_hz=1.0)) as robot:
             print("ready", flush=True)

@@ -35,7 +35,7 @@ class FlyingArm:
     def joints(self) -> np.ndarray:
         return self.present
 
-    def take(self, joints: np.ndarray, why: Why) -> None:
+    def choose(self, joints: np.ndarray, why: Why) -> None:
         connect(self.present, joints, self.obstacles)
         self.present = joints
         self.flown.append(CARRIER.base_from_camera(joints))

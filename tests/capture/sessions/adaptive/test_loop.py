@@ -48,7 +48,7 @@ def test_a_session_ends_when_its_time_is_over(reach, arm, trajectory):
 
 
 def test_views_without_a_path_are_named(reach, arm, trajectory, monkeypatch):
-    take = arm.take
+    take = arm.choose
 
     def enclosed(joints: np.ndarray, why: Why) -> None:
         """No path leads anywhere after the first view."""
@@ -56,7 +56,7 @@ def test_views_without_a_path_are_named(reach, arm, trajectory, monkeypatch):
             raise PlanningError("no path around the obstacles was found")
         take(joints, why)
 
-    monkeypatch.setattr(arm, "take", enclosed)
+    monkeypatch.setattr(arm, "choose", enclosed)
     outcome, _ = run(reach, arm, trajectory, CoverageGoal())
     assert outcome.reason == loop.NO_PATH and arm.taken == 1
 
