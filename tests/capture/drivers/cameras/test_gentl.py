@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from koala3d.capture.doctor.examine import examine_camera
+from koala3d.capture.doctor.camera import check
 from koala3d.capture.doctor.lines import Verdict
 from koala3d.capture.drivers.cameras.gentl import PATHS, GenTlCamera
 from koala3d.capture.drivers.errors import CaptureError, RigConnectionError
@@ -90,8 +90,8 @@ def test_producers_are_found_by_the_standards_variable(monkeypatch):
 def test_the_doctor_asks_it_and_says_what_is_left():
     rig = RigDescription.model_validate({"camera": device().model_dump()})
     with GenTlCamera(SETTINGS, device()).inspected() as found:
-        lines = {line.name: line for line in examine_camera(found.nodes, found.serial, rig)}
-        strict = {line.name: line for line in examine_camera(found.nodes, found.serial, RigDescription())}
+        lines = {line.name: line for line in check(found.nodes, found.serial, {}, rig.camera, genicam=True)}
+        strict = {line.name: line for line in check(found.nodes, found.serial, {}, RigDescription().camera, genicam=True)}
     assert lines["camera serial"].verdict is Verdict.OK
     assert "factory_settings in camera.leave" in lines["factory settings"].remedy
     assert lines["colour space"].verdict is Verdict.UNKNOWN and strict["colour space"].verdict is Verdict.WRONG

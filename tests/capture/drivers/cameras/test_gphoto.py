@@ -17,7 +17,7 @@ import json, sys
 from pathlib import Path
 from koala3d.capture.model.device import Device
 from koala3d.capture.drivers.cameras.gphoto import GphotoCamera
-from koala3d.capture.doctor.other_camera import check
+from koala3d.capture.doctor.camera import check
 from koala3d.capture.drivers.errors import CaptureError
 from koala3d.capture.model.rig import CameraDescription
 from koala3d.capture.model.trajectory import CameraSettings

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from koala3d.capture.doctor.camera import check
 from koala3d.capture.doctor.examine import examine
 from koala3d.capture.doctor.lines import Verdict
-from koala3d.capture.doctor.other_camera import check
 from koala3d.capture.model.device import Device
 from koala3d.capture.model.rig import CameraDescription, RigDescription
 from koala3d.capture.model.trajectory import CameraSettings
