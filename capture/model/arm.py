@@ -8,7 +8,7 @@ identify(joints, base_from_flange).name  # "UR10e"
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -263,9 +263,8 @@ def _resolved(arm: ArmModel, reference: UrdfReference, path: Path) -> ArmModel:
 
 
 def recorded_arm(recording: Recording) -> ArmModel:
-    """The arm of a recording; the UR5e where its manifest names none, as in those made before there were others."""
-    content: dict[str, Any] = recording.part("arm")
-    return validate(content, ArmModel, where=f"{recording.path / MANIFEST}, arm") if content else load_arm(DEFAULT)
+    """The arm of a recording."""
+    return validate(recording.part("arm"), ArmModel, where=f"{recording.path / MANIFEST}, arm")
 
 
 @lru_cache(1)

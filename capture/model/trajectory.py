@@ -233,10 +233,7 @@ def _taken(group: Views) -> int:
 
 def recorded_trajectory(recording: Recording) -> Trajectory:
     """The trajectory that a recording was made along; raises an error with the key where its manifest is wrong."""
-    content = dict(recording.trajectory)
-    if isinstance(content.get("motion"), dict):  # recordings made before settling was judged by positions have a speed there
-        content["motion"] = {key: value for key, value in content["motion"].items() if key != "settle_speed"}
-    return validate(content, Trajectory, where=f"{recording.path / MANIFEST}, trajectory")
+    return validate(dict(recording.trajectory), Trajectory, where=f"{recording.path / MANIFEST}, trajectory")
 
 
 def load_trajectory(path: Path | str, *, overrides: list[str] | None = None) -> Trajectory:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from koala3d.capture.model.arm import load_arm
 from koala3d.capture.model.rig import RigDescription, recorded_rig
 from koala3d.capture.model.trajectory import Trajectory
 from koala3d.capture.page.live import TALL, LiveView, with_histogram
@@ -31,9 +32,12 @@ def session() -> tuple[Trajectory, list[PlannedView]]:
     return trajectory, plan(trajectory, MOUNT)
 
 
+UR5E = load_arm("ur5e").model_dump(mode="json")
+
+
 def begin(path: Path, trajectory: Trajectory) -> Recording:
     rig = {"name": "sim", "flange_from_camera": RigDescription().flange_from_camera.model_dump(mode="json")}
-    return Recording.create(path, {"trajectory": trajectory.model_dump(mode="json"), "rig": rig})
+    return Recording.create(path, {"trajectory": trajectory.model_dump(mode="json"), "rig": rig, "arm": UR5E})
 
 
 def take(recording: Recording, planned: list[PlannedView], index: int, grey: int) -> None:

@@ -144,16 +144,6 @@ def test_the_pose_after_is_read_after_the_exposure(trajectory, rig, views, tmp_p
     assert moved.frame == frame.name and moved.again
 
 
-def test_a_session_from_before_settling_by_positions_is_resumed(trajectory, rig, views, tmp_path):
-    record(trajectory, rig, tmp_path / "rec", planned=views[:1])
-    path = tmp_path / "rec" / "manifest.json"
-    manifest = files.read_json(path)
-    manifest["trajectory"]["motion"]["settle_speed"] = 0.001
-    del manifest["trajectory"]["motion"]["settle_spread"]
-    files.write_json(path, manifest)
-    assert len(record(trajectory, rig, tmp_path / "rec", resume=True, planned=views[:2]).frames) == 2
-
-
 def test_a_stopped_session_is_resumed_without_a_duplicate(trajectory, rig, views, tmp_path):
     rig.camera.stop_at = 3
     with pytest.raises(KeyboardInterrupt):

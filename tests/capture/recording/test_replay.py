@@ -4,6 +4,7 @@ import pytest
 from koala3d.capture.drivers.errors import CaptureError
 from koala3d.capture.drivers.measurements import RobotState
 from koala3d.capture.model import kinematics
+from koala3d.capture.model.arm import load_arm
 from koala3d.capture.model.rig import RigDescription
 from koala3d.capture.model.trajectory import load_trajectory
 from koala3d.capture.planning import plan
@@ -45,7 +46,8 @@ def recording(tmp_path):
     trajectory = load_trajectory("koala_demo")
     description = RigDescription()
     rig = {"name": "sim", **description.model_dump(mode="json")}
-    made = Recording.create(tmp_path / "rec", {"trajectory": trajectory.model_dump(mode="json"), "rig": rig})
+    arm = load_arm("ur5e").model_dump(mode="json")
+    made = Recording.create(tmp_path / "rec", {"trajectory": trajectory.model_dump(mode="json"), "rig": rig, "arm": arm})
     truth = {}
     for index, view in enumerate(plan(trajectory, description.flange_from_camera.matrix())[:4]):
         reached = kinematics.forward(view.joints)
