@@ -87,7 +87,7 @@ def plan(name: str, path: Path) -> None:
     from koala3d.capture.planning import plan as planned_views
 
     session = load_trajectory(drawings.SESSION.with_name(f"{name}.yaml"))
-    mount = RigDescription().flange_from_camera.matrix()
+    mount = RigDescription().carrier()
     planned = planned_views(session, mount)
     path.unlink(missing_ok=True)
     title = f"{session.name}: {len(planned)} views, about {duration(session, planned):.0f} s"

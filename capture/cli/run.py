@@ -14,7 +14,7 @@ from koala3d.capture.cli.options import CalibrationFile, RigName, Scene, Seed, S
 from koala3d.datasets.core import console
 
 if TYPE_CHECKING:
-    from koala3d.capture.model.carrier import Mount
+    from koala3d.capture.model.carrier import Carrier
     from koala3d.capture.model.trajectory import Trajectory
     from koala3d.capture.planning import PlannedView
     from koala3d.capture.sessions.adaptive.loop import CoverageGoal
@@ -160,7 +160,7 @@ def _every(session: "Trajectory", out: Path, options: "SessionOptions", port: in
 
 
 @contextmanager
-def _watched(out: Path, session: "Trajectory", mount: "Mount", planned: "list[PlannedView]", port: int) -> Iterator[None]:
+def _watched(out: Path, session: "Trajectory", mount: "Carrier", planned: "list[PlannedView]", port: int) -> Iterator[None]:
     """A page that shows a recording while it is made. Its stop button does what Ctrl-C does."""
     from koala3d.capture.page.view import watch
     from koala3d.datasets.page import open_page

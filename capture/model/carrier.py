@@ -2,13 +2,12 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from koala3d.capture.model.arm import DEFAULT, ArmModel, load_arm
+from koala3d.capture.model.arm import ArmModel
 from koala3d.capture.model.geometry import Vector
 from koala3d.capture.model.parts import Part, Shape
 from koala3d.capture.model.solids import Solid
@@ -171,12 +170,3 @@ def _held(mount: Array, body: tuple[CameraCapsule, ...], link: int, prefix: str 
         for one, (start, end) in zip(body, ends, strict=True)
     ]
     return [bracket, *camera]
-
-
-Mount: TypeAlias = Carrier | NDArray[np.float64]
-"""A carrier, or the (4, 4) mount of a camera [m] on the default arm with nothing else around it."""
-
-
-def carrier_of(mount: Mount) -> Carrier:
-    """The carrier that a mount means."""
-    return mount if isinstance(mount, Carrier) else Carrier(load_arm(DEFAULT), np.asarray(mount, np.float64))

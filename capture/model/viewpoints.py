@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from koala3d.capture.model.carrier import Mount, carrier_of
+from koala3d.capture.model.carrier import Carrier
 from koala3d.capture.model.geometry import Vector
 from koala3d.capture.model.turning import Turning
 from koala3d.datasets import pose
@@ -33,12 +33,12 @@ class Viewpoint:
     name: str = ""  # names sort in the order of the trajectory
     split: str = ""  # "train", "test" or "calibration"
 
-    def camera_pose(self, mount: Mount) -> NDArray[np.float64]:
+    def camera_pose(self, mount: Carrier) -> NDArray[np.float64]:
         """(4, 4) desired camera pose [m], before any roll; that of given joint angles follows from the nominal mount."""
         if self.base_from_camera is not None:
             return self.base_from_camera
         assert self.joints is not None  # a viewpoint has either
-        return carrier_of(mount).base_from_camera(self.joints)
+        return mount.base_from_camera(self.joints)
 
 
 def spread(count: int, chosen: int) -> frozenset[int]:

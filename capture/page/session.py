@@ -11,7 +11,7 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from koala3d.capture.model.carrier import Mount
+from koala3d.capture.model.carrier import Carrier
 from koala3d.capture.model.trajectory import Trajectory
 from koala3d.capture.page.timeline import ShownView, Timeline
 from koala3d.capture.planning import Obstacles
@@ -38,7 +38,7 @@ TABLE_M = 1.6
 class CaptureView:
     """The contents of the page of one session."""
 
-    def __init__(self, page: Page, trajectory: Trajectory, mount: Mount, timeline: Timeline) -> None:
+    def __init__(self, page: Page, trajectory: Trajectory, mount: Carrier, timeline: Timeline) -> None:
         self.page, self.trajectory, self.timeline = page, trajectory, timeline
         self.stops = {stop.name: stop for stop in timeline.stops}
         self.obstacles = Obstacles.of(trajectory, mount)

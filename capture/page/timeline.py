@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koala3d.capture.drivers.errors import UnreachableError
-from koala3d.capture.model.carrier import Mount, carrier_of
+from koala3d.capture.model.carrier import Carrier
 from koala3d.capture.model.trajectory import Trajectory, recorded_trajectory
 from koala3d.capture.planning import PlannedView, arrivals, blocked, duration, move_duration, plan
 from koala3d.datasets.recording import Recording, chosen_views
@@ -52,7 +52,7 @@ class Timeline:
         return min(later, key=lambda stop: stop.seconds or 0.0, default=None)
 
 
-def of_trajectory(trajectory: Trajectory, mount: Mount) -> Timeline:
+def of_trajectory(trajectory: Trajectory, mount: Carrier) -> Timeline:
     """The plan of a trajectory. Views that the arm cannot take are included with the reason.
 
     Raises PlanningError: no path between two views was found.
@@ -71,9 +71,8 @@ def of_trajectory(trajectory: Trajectory, mount: Mount) -> Timeline:
     return replace(timeline, stops=(*timeline.stops, *stops), notes=notes)
 
 
-def of_planned(trajectory: Trajectory, planned: list[PlannedView], mount: Mount) -> Timeline:
+def of_planned(trajectory: Trajectory, planned: list[PlannedView], carrier: Carrier) -> Timeline:
     """An existing plan."""
-    carrier = carrier_of(mount)
     seconds, joints, stops = [], [], []
     for view, times in zip(planned, arrivals(trajectory, planned, carrier.turntable), strict=True):
         seconds += times
@@ -95,9 +94,8 @@ def _without_waits(clock: NDArray[np.float64], joints: NDArray[np.float64], traj
     return np.concatenate([[0.0], np.cumsum(np.minimum(np.diff(clock), longest))])
 
 
-def of_recording(recording: Recording, mount: Mount) -> Timeline:
+def of_recording(recording: Recording, carrier: Carrier) -> Timeline:
     """A recording: the joint angles and times that the controller reported. Paths between the views are drawn straight."""
-    carrier = carrier_of(mount)
     frames = sorted(recording.frames, key=lambda frame: frame.robot_time_s)
     if not frames:
         return Timeline(np.zeros(0), np.zeros((0, carrier.arm.count)), (), ("no views have been taken yet",))

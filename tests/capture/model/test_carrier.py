@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from koala3d.capture.model.arm import load_arm
-from koala3d.capture.model.carrier import Cable, CameraCapsule, Carrier, carrier_of
+from koala3d.capture.model.carrier import Cable, CameraCapsule, Carrier
 from koala3d.capture.model.solids import BoxSolid, CylinderSolid, MeshSolid
 from koala3d.capture.model.viewpoints import Viewpoint
 from koala3d.capture.planning import Obstacles, connect
@@ -22,10 +22,6 @@ UPRIGHT = load_arm("ur5e").home
 
 def carrier(arm: str = "ur5e", **others) -> Carrier:
     return Carrier(load_arm(arm), MOUNT, **others)
-
-
-def test_a_plain_mount_is_on_the_default_arm() -> None:
-    assert carrier_of(MOUNT).arm.name == "UR5e" and carrier_of(carrier("ur10e")).arm.name == "UR10e"
 
 
 @pytest.mark.parametrize(("arm", "length"), [("ur3e", 0.457), ("ur5e", 0.817), ("ur10e", 1.184), ("ur16e", 0.838)])

@@ -5,10 +5,10 @@ import itertools
 import numpy as np
 import pytest
 
-from koala3d.capture.model.carrier import carrier_of
+from koala3d.capture.model.rig import RigDescription
 from koala3d.datasets import pose
 
-MOUNT = carrier_of(pose.from_rotation_vector([np.radians(45), 0, 0], [0, 0.06, 0.08]))
+MOUNT = RigDescription().carrier()
 PARTS, INDEX = MOUNT.shape.parts, MOUNT.shape.index
 JOINTS = np.array([0.3, -1.2, 1.5, -0.4, -1.5, 0.2])
 

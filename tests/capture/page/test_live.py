@@ -21,7 +21,7 @@ from koala3d.datasets.page import open_page
 from koala3d.datasets.recording import Frame, Recording
 from tests.browser import PATIENCE_S, Browse
 
-MOUNT = RigDescription().flange_from_camera.matrix()
+MOUNT = RigDescription().carrier()
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from koala3d.capture.page.timeline import WAIT_S, of_recording, of_trajectory
 from koala3d.capture.planning import duration, move_duration, plan
 from koala3d.datasets.recording import Frame, Recording
 
-MOUNT = RigDescription().flange_from_camera.matrix()
+MOUNT = RigDescription().carrier()
 
 
 def trajectory(x: float = 0.4, count: int = 8) -> Trajectory:
@@ -84,7 +84,7 @@ def test_a_recording_is_played_by_the_controllers_clock(tmp_path: Path) -> None:
     timeline = of_recording(recording_of(tmp_path, [1.5], angles), MOUNT)
     assert [stop.seconds for stop in timeline.stops] == [0, 1.5] and timeline.end == 1.5
     assert np.allclose(timeline.at(0.75), angles.mean(0))  # half way between the two
-    assert np.allclose(timeline.stops[1].base_from_camera, kinematics.forward(angles[1]) @ MOUNT)
+    assert np.allclose(timeline.stops[1].base_from_camera, kinematics.forward(angles[1]) @ MOUNT.flange_from_camera)
     assert timeline.notes[0].startswith("2 of 3 views in 2 s") and "waiting" not in " ".join(timeline.notes)
 
 

@@ -8,7 +8,7 @@ from koala3d.capture.planning import duration, plan
 from koala3d.capture.planning.order import TURN_M, short_order
 from koala3d.datasets import pose
 
-MOUNT = RigDescription().flange_from_camera.matrix()
+MOUNT = RigDescription().carrier()
 
 
 def length(poses, order):

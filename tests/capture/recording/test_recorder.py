@@ -116,7 +116,7 @@ def test_manifest_says_what_the_next_steps_need(trajectory, rig, views, tmp_path
 
 def test_board_is_described_for_a_calibration(rig, tmp_path):
     trajectory = load_trajectory("calibration_demo")
-    views = plan(trajectory, rig.flange_from_camera)[:1]
+    views = plan(trajectory, rig.carrier)[:1]
     recording = record(trajectory, rig, tmp_path / "rec", planned=views)
     assert recording.manifest["board"] == {
         "type": "charuco",

@@ -49,7 +49,7 @@ def recording(tmp_path):
     arm = load_arm("ur5e").model_dump(mode="json")
     made = Recording.create(tmp_path / "rec", {"trajectory": trajectory.model_dump(mode="json"), "rig": rig, "arm": arm})
     truth = {}
-    for index, view in enumerate(plan(trajectory, description.flange_from_camera.matrix())[:4]):
+    for index, view in enumerate(plan(trajectory, description.carrier())[:4]):
         reached = kinematics.forward(view.joints)
         made.append(
             Frame(

@@ -108,7 +108,7 @@ object: {centre: [0, 0, 1.1], size: [0.2, 0.2, 0.2]}
 
 def test_the_choice_between_equal_plans_does_not_depend_on_the_solver(use, tmp_path):
     (tmp_path / "symmetric.yaml").write_text(SYMMETRIC)
-    trajectory, mount = load_trajectory(tmp_path / "symmetric.yaml"), RigDescription().flange_from_camera.matrix()
+    trajectory, mount = load_trajectory(tmp_path / "symmetric.yaml"), RigDescription().carrier()
     joints = []
     for name in ("own", "eaik"):
         use(name)
