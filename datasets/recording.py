@@ -86,7 +86,7 @@ class DepthPicture:
         return found
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Frame:
     """One exposure: pose of the arm, time, and image."""
 

@@ -9,9 +9,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from koala3d.capture.model.rig import RigDescription
+from koala3d.capture.model.trajectory import load_trajectory
 from koala3d.capture.planning import plan
-from koala3d.capture.rig.description import RigDescription
-from koala3d.capture.trajectory import load_trajectory
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.conventions import OPENCV_FROM_LLFF, OPENCV_FROM_OPENGL
 from koala3d.datasets.kinematics import link_frames

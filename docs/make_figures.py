@@ -81,13 +81,13 @@ def contact_sheet(recording: Path, chosen: tuple[int, ...], *, width: int, colum
 
 def plan(name: str, path: Path) -> None:
     """The plot of `capture plan --plot` for a shipped trajectory."""
+    from koala3d.capture.model.rig import RigDescription
+    from koala3d.capture.model.trajectory import load_trajectory
     from koala3d.capture.planning import Obstacles, draw, duration
     from koala3d.capture.planning import plan as planned_views
-    from koala3d.capture.rig.description import RigDescription
-    from koala3d.capture.trajectory import load_trajectory
 
     session = load_trajectory(drawings.SESSION.with_name(f"{name}.yaml"))
-    mount = RigDescription().flange_from_camera.matrix()
+    mount = RigDescription().carrier()
     planned = planned_views(session, mount)
     path.unlink(missing_ok=True)
     title = f"{session.name}: {len(planned)} views, about {duration(session, planned):.0f} s"

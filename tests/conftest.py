@@ -193,7 +193,20 @@ def simulated_session() -> Callable[..., Path]:
             name = f"{index:03d}"
             true_cameras[name] = (pose.rigid(np.eye(3), [0, 1e-3 * arm_shift_mm, 0]) @ reported @ mount).tolist()
             recording.append(
-                Frame(index, name, "calibration", f"images/{name}.png", reported, np.zeros(6), 0.0, 0, 0, 1e4, 0.1, "")
+                Frame(
+                    index=index,
+                    name=name,
+                    split="calibration",
+                    image=f"images/{name}.png",
+                    base_from_flange=reported,
+                    joints=np.zeros(6),
+                    robot_time_s=0.0,
+                    host_time_ns=0,
+                    device_ticks=0,
+                    exposure_us=1e4,
+                    settle_s=0.1,
+                    sha256="",
+                )
             )
         files.write_json(
             path / "truth" / "poses.json",

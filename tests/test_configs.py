@@ -17,7 +17,7 @@ FILES = sorted(CONFIGS.rglob("*.yaml"))
 def loader(folder: str) -> Callable[[Path], Any]:
     """The function that reads the files of one folder below configs/."""
     if folder == "trajectories":
-        from koala3d.capture.trajectory import load_trajectory
+        from koala3d.capture.model.trajectory import load_trajectory
 
         return load_trajectory
     if folder == "boards":
@@ -25,11 +25,11 @@ def loader(folder: str) -> Callable[[Path], Any]:
 
         return load_board
     if folder == "rigs":
-        from koala3d.capture.rig.description import load_rig
+        from koala3d.capture.model.rig import load_rig
 
         return load_rig
     if folder == "arms":
-        from koala3d.capture.arms.model import load_arm
+        from koala3d.capture.model.arm import load_arm
 
         return load_arm
     if folder == "imports":
@@ -56,7 +56,7 @@ def test_it_loads(path: Path) -> None:
 
 @pytest.mark.parametrize("path", [path for path in FILES if path.parent.name == "trajectories"], ids=lambda path: path.stem)
 def test_trajectories_have_views_and_a_split(path: Path) -> None:
-    from koala3d.capture.trajectory import load_trajectory
+    from koala3d.capture.model.trajectory import load_trajectory
 
     views = load_trajectory(path).viewpoints()
     assert len({view.name for view in views}) == len(views) > 1

@@ -31,7 +31,7 @@ def test_the_list_of_libraries_is_not_empty() -> None:
 @pytest.mark.parametrize(
     ("package", "arguments", "words"),
     [
-        ("capture", [], ["run", "plan", "calibrate", "check", "sim", "view", "bench"]),
+        ("capture", [], ["run", "plan", "calibrate", "check", "sim", "view", "doctor"]),
         ("calib", [], ["intrinsics", "handeye", "bench", "view"]),
         ("calib", ["handeye"], ["RECORDING"]),
         ("datasets", [], ["build", "info", "check", "export"]),

@@ -9,15 +9,16 @@ import pytest
 from koala3d import configs
 from koala3d.calib import calibrate
 from koala3d.calib.sessions.session import TargetSession, observe_recording
-from koala3d.capture.arms.model import load_arm
+from koala3d.capture.model.arm import load_arm
+from koala3d.capture.model.rig import RigDescription, recorded_carrier
+from koala3d.capture.model.trajectory import load_trajectory
 from koala3d.capture.planning import blocked
 from koala3d.capture.recording.recorder import record
-from koala3d.capture.rig.description import RigDescription, recorded_carrier
-from koala3d.capture.rig.opening import Rig, describe
+from koala3d.capture.rig.naming import describe
+from koala3d.capture.rig.rig import Rig
 from koala3d.capture.sim.camera import SimulatedCamera
 from koala3d.capture.sim.kinematic_arm import KinematicArm
 from koala3d.capture.sim.truth import RigTruth
-from koala3d.capture.trajectory import load_trajectory
 from koala3d.datasets import pose, truth
 from koala3d.datasets.calibration import Calibration
 from koala3d.datasets.camera_model import Camera

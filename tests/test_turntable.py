@@ -7,9 +7,9 @@ import pytest
 from typer.testing import CliRunner
 
 from koala3d.calib.cli import app
+from koala3d.capture.model.trajectory import load_trajectory
 from koala3d.capture.recording.recorder import record
 from koala3d.capture.rig.opening import open_rig
-from koala3d.capture.trajectory import load_trajectory
 from koala3d.datasets.calibration import Calibration, UncertainPose
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core import files

@@ -1,4 +1,4 @@
-"""Rehearsals: the adviser's questions answered for simulated rigs, without pictures. `capture bench-calibrate` asks.
+"""Rehearsals: the adviser's questions answered for simulated rigs, without pictures. `tests/bench/calibrate.py` asks.
 
 A rig of a seed differs from the drawing as those of the simulator do: the bracket by 3 mm and 1 degree, the lens in every value,
 the board by 10 mm and 3 degrees. Corners have 0.1 px of noise, the arm 0.03 mm and 0.005 degrees per axis. The adviser takes the

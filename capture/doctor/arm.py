@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from koala3d.capture.arms.model import identify, load_arm
-from koala3d.capture.doctor.answers import Answers
 from koala3d.capture.doctor.lines import Line, compared, judged, ok, unknown, wrong
-from koala3d.capture.rig.description import RobotDescription
+from koala3d.capture.doctor.report import ControllerReport
+from koala3d.capture.model.arm import identify, load_arm
+from koala3d.capture.model.rig import RobotDescription
 from koala3d.datasets import pose
 from koala3d.datasets.kinematics import forward
 
@@ -16,13 +16,13 @@ STANDARD_GRAVITY, GRAVITY_WITHIN = 9.81, 0.5  # [m/s^2]; tool accelerometers are
 LEVEL_DEG = 5.0  # a base that is tilted by more was mounted so on purpose, or its mounting was entered wrongly
 
 
-def check(answers: Answers, robot: RobotDescription, up: int | None) -> list[Line]:
+def check(answers: ControllerReport, robot: RobotDescription, up: int | None) -> list[Line]:
     """The lines; `up` is the sign of the base's z axis in the upward direction that the session needs, None: the rig file's."""
     wanted = robot.installation.upwards if up is None else up
     return [_model(answers, robot), _kinematics(answers), *_identity(answers, robot), _mounting(answers, wanted)]
 
 
-def _model(answers: Answers, robot: RobotDescription) -> Line:
+def _model(answers: ControllerReport, robot: RobotDescription) -> Line:
     name, stated = "arm model", load_arm(robot.model).name
     base_from_flange = answers.base_from_flange
     if answers.sample is None or base_from_flange is None:
@@ -35,7 +35,7 @@ def _model(answers: Answers, robot: RobotDescription) -> Line:
     return judged(name, found.model.name == stated, words, remedy)
 
 
-def _kinematics(answers: Answers) -> Line:
+def _kinematics(answers: ControllerReport) -> Line:
     name = "own kinematics"
     base_from_flange, links = answers.base_from_flange, answers.primary and answers.primary.links
     if answers.sample is None or base_from_flange is None or links is None:
@@ -45,7 +45,7 @@ def _kinematics(answers: Answers) -> Line:
     return judged(name, bool(distance < OWN_M and angle < OWN_M), found, "restart the controller; its calibration is not in use")
 
 
-def _identity(answers: Answers, robot: RobotDescription) -> list[Line]:
+def _identity(answers: ControllerReport, robot: RobotDescription) -> list[Line]:
     version = answers.primary.version if answers.primary is not None else None
     lines = []
     if answers.dashboard is not None:
@@ -62,7 +62,7 @@ def _identity(answers: Answers, robot: RobotDescription) -> list[Line]:
     return [*lines, judged("software", version[:2] >= OLDEST, text, "update the controller to PolyScope 5.6 or newer")]
 
 
-def _mounting(answers: Answers, wanted: int) -> Line:
+def _mounting(answers: ControllerReport, wanted: int) -> Line:
     name, base_from_flange = "mounting", answers.base_from_flange
     if answers.sample is None or base_from_flange is None:
         return unknown(name, "no accelerometer", "compare the mounting at the pendant with the arm")

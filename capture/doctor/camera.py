@@ -1,81 +1,109 @@
 """Checks of a camera: which it is, how it is connected, how warm it is, and whether it takes a known state."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
-from koala3d.capture.cameras.nodes import Nodes, first
-from koala3d.capture.cameras.start_state import load_default, set_colour_space, set_plain
 from koala3d.capture.doctor.lines import Line, compared, judged, ok, unknown, wrong
-from koala3d.capture.errors import CaptureError
-from koala3d.capture.rig.description import CameraDescription
+from koala3d.capture.drivers.cameras.nodes import Nodes, first, put_all
+from koala3d.capture.drivers.cameras.start_state import load_default, set_colour_space, set_plain
+from koala3d.capture.drivers.errors import CaptureError
+from koala3d.capture.model.rig import CameraDescription
 
 SLOWEST = 1.1e8  # a link below this is USB 2 (60 MB/s) or a network below 1 Gbit/s [bytes/s]
+USB3 = "3"
+"""Beginning of what a camera on a USB 3 link says of it."""
 WARMEST_C = 80.0  # of the electronics; their noise doubles every 6 to 8 degrees
 SPEEDS = ("DeviceLinkSpeed", "BslDeviceLinkCurrentThroughput")
 STATES = ("BslTemperatureStatus", "TemperatureState")
-DEGREES = ("DeviceTemperature", "TemperatureAbs")
-NAMES = (
-    "camera serial",
-    "camera firmware",
-    "camera link",
-    "camera temperature",
-    "factory settings",
-    "camera settings",
-    "colour space",
-)
+DEGREES = ("DeviceTemperature", "TemperatureAbs", "depth.asic_temperature", "TEMPERATURE")
+SERIAL, FIRMWARE, LINK, TEMPERATURE = "camera serial", "camera firmware", "camera link", "camera temperature"
+FACTORY, SETTINGS, COLOURS = "factory settings", "camera settings", "colour space"
+NAMES = (SERIAL, FIRMWARE, LINK, TEMPERATURE, FACTORY, SETTINGS, COLOURS)
 
 
 def missing(why: str) -> list[Line]:
-    """The lines where no camera could be opened."""
+    """The lines if no camera could be opened."""
     remedy = "check cable, power and camera.serial; close other programs that use it"
-    return [wrong(NAMES[0], why, remedy), *(unknown(name, "no camera", "connect it first") for name in NAMES[1:])]
+    return [wrong(SERIAL, why, remedy), *(unknown(name, "no camera", "connect it first") for name in NAMES[1:])]
 
 
-def check(nodes: Nodes, serial: str, stated: CameraDescription, *, encoded: bool) -> list[Line]:
-    """The lines; sets the camera to its known state. `encoded`: whether it must send sRGB."""
+def check(
+    nodes: Nodes, serial: str, facts: Mapping[str, str], stated: CameraDescription, *, encoded: bool = True, genicam: bool = False
+) -> list[Line]:
+    """The lines; brings the camera to the known state of its driver.
 
-    def encode() -> object:
-        return set_colour_space(nodes, encoded=encoded)
-
-    firmware = str(nodes.read("DeviceFirmwareVersion")) if nodes.has("DeviceFirmwareVersion") else ""
-    return [
-        compared(NAMES[0], serial, stated.serial, "camera.serial"),
-        compared(NAMES[1], firmware, stated.firmware, "camera.firmware")
+    Args:
+        facts: what it says of `firmware` and `link` beside its settings.
+        encoded: whether it must send sRGB.
+        genicam: whether its settings are those of GenICam.
+    """
+    firmware = facts.get("firmware") or (str(nodes.read("DeviceFirmwareVersion")) if nodes.has("DeviceFirmwareVersion") else "")
+    named = [
+        compared(SERIAL, serial, stated.serial, "camera.serial")
+        if serial
+        else unknown(SERIAL, "it does not say", "connect only one camera"),
+        compared(FIRMWARE, firmware, stated.firmware, "camera.firmware")
         if firmware
-        else unknown(NAMES[1], "it does not say", "see pylon Viewer"),
-        _link(nodes),
+        else unknown(FIRMWARE, "it does not say", "see its maker's software"),
+        _link(nodes, facts.get("link", "")),
         _temperature(nodes),
-        _left(stated, "factory_settings", lambda: tried(NAMES[4], lambda: load_default(nodes), "loaded"), NAMES[4]),
-        tried(NAMES[5], lambda: set_plain(nodes), "not reversed, black level 0, gamma 1, no light-source preset"),
-        _left(stated, "colour_space", lambda: tried(NAMES[6], encode, "sRGB" if encoded else "linear"), NAMES[6]),
     ]
+    return [*named, *(_genicam_state(nodes, stated, encoded) if genicam else _other_state(nodes, stated))]
 
 
-def _link(nodes: Nodes) -> Line:
+def _link(nodes: Nodes, usb: str) -> Line:
+    remedy = "use a USB 3 or Gigabit port and cable, without a hub"
+    if usb:
+        return judged(LINK, usb.startswith(USB3), f"USB {usb}", remedy)
     name = first(nodes, SPEEDS)
     if name is None:
-        return unknown(NAMES[2], "it does not say its link's speed", "use a USB 3 or Gigabit port")
+        return unknown(LINK, "it does not say its link's speed", remedy)
     speed = float(nodes.read(name))
-    return judged(NAMES[2], speed >= SLOWEST, f"{speed / 1e6:.0f} MB/s", "use a USB 3 or Gigabit port and cable, without a hub")
+    return judged(LINK, speed >= SLOWEST, f"{speed / 1e6:.0f} MB/s", remedy)
 
 
 def _temperature(nodes: Nodes) -> Line:
     state, degrees = first(nodes, STATES), first(nodes, DEGREES)
-    if state is None and degrees is None:
-        return unknown(NAMES[3], "it does not measure it", "let it warm up for half an hour")
     warm = float(nodes.read(degrees)) if degrees is not None else 0.0
+    if state is None and warm <= 0:  # OpenCV answers 0 for what a device does not have
+        return unknown(TEMPERATURE, "it does not measure it", "let it warm up for half an hour")
     word = str(nodes.read(state)) if state is not None else "Ok"
     found = word if degrees is None else f"{warm:.0f} degrees C, {word}"
-    return judged(NAMES[3], word == "Ok" and warm < WARMEST_C, found, "mount it on metal, or give it air", blocks=False)
+    return judged(TEMPERATURE, word == "Ok" and warm < WARMEST_C, found, "mount it on metal, or give it air", blocks=False)
 
 
-def _left(stated: CameraDescription, what: str, line: Callable[[], Line], name: str) -> Line:
-    """The line, or that the rig file leaves this as it is."""
-    if what in stated.leave:
-        return unknown(name, "left as it is", f"the rig file says so: {what} in camera.leave")
-    return line()
+def _genicam_state(nodes: Nodes, stated: CameraDescription, encoded: bool) -> list[Line]:
+    colours = "sRGB" if encoded else "linear"
+    steps: dict[str, tuple[str, Callable[[], object], str]] = {
+        FACTORY: ("factory_settings", lambda: load_default(nodes), "loaded"),
+        SETTINGS: ("", lambda: set_plain(nodes), "not reversed, black level 0, gamma 1, no light-source preset"),
+        COLOURS: ("colour_space", lambda: set_colour_space(nodes, encoded=encoded), colours),
+    }
+    return [
+        unknown(name, "left as it is", f"the rig file says so: {key} in camera.leave")
+        if key in stated.leave
+        else _tried(name, act, done)
+        for name, (key, act, done) in steps.items()
+    ]
 
 
-def tried(name: str, act: Callable[[], object], done: str) -> Line:
+def _other_state(nodes: Nodes, stated: CameraDescription) -> list[Line]:
+    start = unknown(FACTORY, f"{stated.model} has no command for them", "reset it by its menus or its maker's software")
+    if stated.model == "realsense":
+        from koala3d.capture.drivers.cameras.realsense import OptionNodes, set_start_state
+
+        assert isinstance(nodes, OptionNodes)
+        start = _tried(FACTORY, lambda: set_start_state(nodes), "set, automatic functions off")
+    listed = ", ".join(f"{name} {value}" for name, value in stated.settings.items()) or "the rig file names none"
+    settings = _tried(SETTINGS, lambda: put_all(nodes, stated.settings, "camera.settings"), listed)
+    if stated.model == "realsense":
+        return [start, settings, ok(COLOURS, "sRGB")]
+    if not nodes.has("colorspace"):
+        return [start, settings, unknown(COLOURS, "it does not say", "photograph a grey card: 'capture look'")]
+    found = str(nodes.read("colorspace"))
+    return [start, settings, judged(COLOURS, found.lower() == "srgb", found, "set colorspace to sRGB in camera.settings")]
+
+
+def _tried(name: str, act: Callable[[], object], done: str) -> Line:
     """Whether the camera takes what `act` sets."""
     try:
         act()

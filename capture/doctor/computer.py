@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from koala3d.capture.doctor.answers import Answers
 from koala3d.capture.doctor.lines import Line, judged, unknown
+from koala3d.capture.doctor.report import ControllerReport
 from koala3d.datasets.core.space import readable
 
 EARLIEST = datetime(2026, 1, 1, tzinfo=UTC)  # no clock that is right shows an earlier time than that of this program
@@ -15,7 +15,7 @@ DRIFT = 1e-3  # of the controller's clock against ours; both are quartz, good to
 
 
 def check(
-    answers: Answers, folder: Path, *, needed: float, now: datetime, longest_gap_s: float, rate: float | None
+    answers: ControllerReport, folder: Path, *, needed: float, now: datetime, longest_gap_s: float, rate: float | None
 ) -> list[Line]:
     """The lines.
 
@@ -36,7 +36,7 @@ def check(
     ]
 
 
-def _network(answers: Answers, longest_gap_s: float, rate: float | None) -> list[Line]:
+def _network(answers: ControllerReport, longest_gap_s: float, rate: float | None) -> list[Line]:
     if len(answers.arrivals) < 2:
         return [unknown(name, "no samples", "enable RTDE at the pendant") for name in ("network", "controller clock")]
     ours, theirs = answers.arrivals.T

@@ -7,14 +7,13 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from koala3d.capture.cameras.nodes import Nodes
-from koala3d.capture.doctor import arm, camera, computer, other_camera, pendant, safety
-from koala3d.capture.doctor.answers import Answers, ask
+from koala3d.capture.doctor import arm, camera, computer, pendant, safety
 from koala3d.capture.doctor.lines import Line, Verdict, ok, unknown, wrong
-from koala3d.capture.errors import CaptureError, NotReady
-from koala3d.capture.rig.cameras import Seen
-from koala3d.capture.rig.description import RigDescription
-from koala3d.capture.robots.timing import Deadlines
+from koala3d.capture.doctor.report import ControllerReport, ask
+from koala3d.capture.drivers.cameras.base import InspectedCamera
+from koala3d.capture.drivers.errors import CaptureError, NotReady
+from koala3d.capture.drivers.ur.link import Deadlines
+from koala3d.capture.model.rig import RigDescription
 from koala3d.capture.sim.camera_nodes import SimulatedNodes
 
 log = logging.getLogger(__name__)
@@ -57,11 +56,6 @@ def examine_arm(
     ]
 
 
-def examine_camera(nodes: Nodes, serial: str, rig: RigDescription, *, encoded: bool = True) -> list[Line]:
-    """Bring a camera to its known state and ask what it is; `encoded`: it must send sRGB."""
-    return camera.check(nodes, serial, rig.camera, encoded=encoded)
-
-
 def examine(
     rig: RigDescription,
     host: str,
@@ -73,7 +67,7 @@ def examine(
     up: int | None = None,
     encoded: bool = True,
 ) -> list[Line]:
-    """Arm, computer and every camera; arguments as in the two above.
+    """Arm, computer and every camera; arguments as in `examine_arm`; `encoded`: whether cameras must send sRGB.
 
     A simulated camera is librealsense's software device, or for all other drivers an ace USB over pylon's emulation.
     """
@@ -108,11 +102,10 @@ def _examined(rig: RigDescription, number: int | None, *, encoded: bool) -> list
         return _camera(found, rig, simulated=simulated, encoded=encoded)
 
 
-def _camera(found: Seen, rig: RigDescription, *, simulated: bool, encoded: bool) -> list[Line]:
-    if rig.camera.model == "realsense" or (rig.camera.model in ("opencv", "gphoto2") and not simulated):
-        return other_camera.check(found.nodes, found.serial, found.facts, rig.camera)
-    nodes = SimulatedNodes(found.nodes, "ace USB") if simulated else found.nodes
-    return examine_camera(nodes, found.serial, rig, encoded=encoded)
+def _camera(found: InspectedCamera, rig: RigDescription, *, simulated: bool, encoded: bool) -> list[Line]:
+    genicam = rig.camera.model in ("basler", "genicam") or (simulated and rig.camera.model != "realsense")
+    nodes = SimulatedNodes(found.nodes, "ace USB") if simulated and genicam else found.nodes
+    return camera.check(nodes, found.serial, found.facts, rig.camera, encoded=encoded, genicam=genicam)
 
 
 def examination(out: Path, up: int, encoded: bool, take_over: bool) -> Callable[[RigDescription, str, bool], None]:
@@ -143,7 +136,7 @@ def refuse_wrong(lines: list[Line], where: str, *, take_over: bool = False) -> N
         raise NotReady("the rig is not ready, nothing has moved", where=where, why=why, remedy=remedy)
 
 
-def _ports(answers: Answers) -> list[Line]:
+def _ports(answers: ControllerReport) -> list[Line]:
     """Which interfaces answer."""
     samples = ok("RTDE", "sends samples")
     if answers.sample is None:

@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 
-from koala3d.capture.doctor.answers import Answers
 from koala3d.capture.doctor.lines import Line, judged, ok, unknown, wrong
-from koala3d.capture.rig.description import InstallationDescription
-from koala3d.capture.robots.stand_in import program_state
+from koala3d.capture.doctor.report import ControllerReport
+from koala3d.capture.drivers.ur.stand_in import program_state
+from koala3d.capture.model.rig import InstallationDescription
 
 POLYSCOPE_X = 10
 """Its first major version."""
@@ -15,12 +15,12 @@ PAYLOAD_KG, CENTRE_M, TOOL_M, TOOL_RAD = 0.05, 0.01, 1e-4, 1e-3
 """What may differ from the rig file: payload and its centre by the accuracy of scales and rulers, the tool offset by rounding."""
 
 
-def check(answers: Answers, stated: InstallationDescription) -> list[Line]:
+def check(answers: ControllerReport, stated: InstallationDescription) -> list[Line]:
     """The lines."""
     return [*_control(answers), *_payload(answers.sample, stated), _tool(answers, stated)]
 
 
-def _control(answers: Answers) -> list[Line]:
+def _control(answers: ControllerReport) -> list[Line]:
     if (replies := answers.dashboard) is None:
         lines = [
             _missing_dashboard(answers),
@@ -39,7 +39,7 @@ def _control(answers: Answers) -> list[Line]:
     return lines
 
 
-def _missing_dashboard(answers: Answers) -> Line:
+def _missing_dashboard(answers: ControllerReport) -> Line:
     version = answers.primary.version if answers.primary is not None else None
     if version is not None and version[0] >= POLYSCOPE_X:
         return ok("dashboard", "PolyScope X has none: RTDE and the primary interface stand in, client koala")
@@ -72,7 +72,7 @@ def _payload(sample: dict[str, Any] | None, stated: InstallationDescription) -> 
     return [first, second]
 
 
-def _tool(answers: Answers, stated: InstallationDescription) -> Line:
+def _tool(answers: ControllerReport, stated: InstallationDescription) -> Line:
     name = "tool offset"
     if answers.primary is None or answers.primary.tcp_offset is None:
         return unknown(name, "the controller does not say it", "enable Primary/Secondary at the pendant")

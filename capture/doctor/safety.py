@@ -1,8 +1,8 @@
 """Checks of the controller's safety: its mode, reduced mode, stops, slider, and the checksum of its settings."""
 
-from koala3d.capture.doctor.answers import Answers
 from koala3d.capture.doctor.lines import Line, compared, judged, ok, unknown, wrong
-from koala3d.capture.rig.description import InstallationDescription
+from koala3d.capture.doctor.report import ControllerReport
+from koala3d.capture.model.rig import InstallationDescription
 
 NORMAL, REDUCED, PROTECTIVE, RECOVERY, SAFEGUARD, SYSTEM_STOP, ROBOT_STOP, VIOLATION, FAULT = range(1, 10)
 STOPS = {
@@ -25,12 +25,12 @@ MODES = {
 }
 
 
-def check(answers: Answers, stated: InstallationDescription) -> list[Line]:
+def check(answers: ControllerReport, stated: InstallationDescription) -> list[Line]:
     """The lines."""
     return [*_modes(answers), _checksum(answers, stated)]
 
 
-def _modes(answers: Answers) -> list[Line]:
+def _modes(answers: ControllerReport) -> list[Line]:
     names = "power", "safety mode", "safeguard stop", "reduced mode", "speed slider"
     if answers.sample is None:
         return [unknown(name, "no samples", "enable RTDE at the pendant") for name in names]
@@ -62,7 +62,7 @@ def _modes(answers: Answers) -> list[Line]:
     ]
 
 
-def _checksum(answers: Answers, stated: InstallationDescription) -> Line:
+def _checksum(answers: ControllerReport, stated: InstallationDescription) -> Line:
     name = "safety checksum"
     if answers.primary is None or answers.primary.checksum is None:
         return unknown(name, "the controller does not send it", "compare it at the top of the pendant's screen")

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import viser
 
-from koala3d.capture.look.jog import Jog
+from koala3d.capture.sessions.live.jog import Jog
 
 Later = Callable[[Callable[[], None]], None]
 """Leaves a task to the thread that owns camera and arm."""

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.capture.arms.carrier import Mount
+from koala3d.capture.model.carrier import Carrier
 from koala3d.capture.page.session import CaptureView
 from koala3d.capture.page.timeline import of_recording
 from koala3d.capture.recording.focus import sharpness
@@ -23,7 +23,7 @@ CLIPPED = 250  # a pixel counts as clipped from this value of 255
 class LiveView:
     """Adds the frames of a recording to the page of its session as they arrive."""
 
-    def __init__(self, session: CaptureView, path: Path, mount: Mount) -> None:
+    def __init__(self, session: CaptureView, path: Path, mount: Carrier) -> None:
         self.session, self.path, self.mount = session, path, mount
         self.seen: set[str] = set()
         self._folder = session.page.gui.add_folder("Newest frame", order=-1)

@@ -8,16 +8,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.capture.look import flicker
-from koala3d.capture.look.analysis import Look, Part
-from koala3d.capture.look.balance import stored_response, white_balance, words
-from koala3d.capture.look.jog import Jog
-from koala3d.capture.look.outline import Outline
-from koala3d.capture.measurements import Image
+from koala3d.capture.drivers.measurements import Image
+from koala3d.capture.drivers.protocols import Camera
 from koala3d.capture.page.jogging import JogPanel
 from koala3d.capture.page.live import with_histogram
 from koala3d.capture.page.overlay import shown
-from koala3d.capture.rig.protocols import Camera
+from koala3d.capture.sessions.live import flicker
+from koala3d.capture.sessions.live.analysis import Look, Part
+from koala3d.capture.sessions.live.balance import stored_response, white_balance, words
+from koala3d.capture.sessions.live.jog import Jog
+from koala3d.capture.sessions.live.outline import Outline
 from koala3d.datasets.core.errors import KoalaError
 from koala3d.datasets.page import Page
 

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.capture.look.analysis import Part
 from koala3d.capture.recording.focus import luminance
+from koala3d.capture.sessions.live.analysis import Part
 from koala3d.datasets.page.panel import bytes_of
 from koala3d.datasets.radiometry.merge import SATURATED
 

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from koala3d.capture.model.trajectory import recorded_trajectory
 from koala3d.capture.recording import check
 from koala3d.capture.recording.focus import sharpness
-from koala3d.capture.trajectory import recorded_trajectory
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import KoalaError
 from koala3d.datasets.imaging import images

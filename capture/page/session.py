@@ -11,10 +11,10 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from koala3d.capture.arms.carrier import Mount
-from koala3d.capture.page.timeline import Stop, Timeline
+from koala3d.capture.model.carrier import Carrier
+from koala3d.capture.model.trajectory import Trajectory
+from koala3d.capture.page.timeline import ShownView, Timeline
 from koala3d.capture.planning import Obstacles
-from koala3d.capture.trajectory import Trajectory
 from koala3d.datasets import pose
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core.errors import KoalaError
@@ -38,7 +38,7 @@ TABLE_M = 1.6
 class CaptureView:
     """The contents of the page of one session."""
 
-    def __init__(self, page: Page, trajectory: Trajectory, mount: Mount, timeline: Timeline) -> None:
+    def __init__(self, page: Page, trajectory: Trajectory, mount: Carrier, timeline: Timeline) -> None:
         self.page, self.trajectory, self.timeline = page, trajectory, timeline
         self.stops = {stop.name: stop for stop in timeline.stops}
         self.obstacles = Obstacles.of(trajectory, mount)
@@ -140,7 +140,7 @@ class CaptureView:
                 later = self.slider.value + TICK_S * self.speed.value
                 self.slider.value = later if later < self.timeline.end else 0.0
 
-    def _chosen(self, client: viser.ClientHandle | None, stop: Stop) -> None:
+    def _chosen(self, client: viser.ClientHandle | None, stop: ShownView) -> None:
         """Move the arm to a view, and show the view in one browser."""
         if stop.seconds is not None:
             self.slider.value = stop.seconds
@@ -154,7 +154,7 @@ class CaptureView:
         except KoalaError as error:
             self.panel.show(client, f"{words}\n\n{error}", None)
 
-    def taken(self, stop: Stop) -> None:
+    def taken(self, stop: ShownView) -> None:
         """Show the recorded data of a view: the picture on the camera, and the text on a click."""
         planned = self.stops[stop.name]
         self.stops[stop.name] = replace(stop, seconds=planned.seconds)

@@ -6,17 +6,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.capture.arms.carrier import Mount, carrier_of
-from koala3d.capture.errors import UnreachableError
+from koala3d.capture.drivers.errors import UnreachableError
+from koala3d.capture.model.carrier import Carrier
+from koala3d.capture.model.trajectory import Trajectory, recorded_trajectory
 from koala3d.capture.planning import PlannedView, arrivals, blocked, duration, move_duration, plan
-from koala3d.capture.trajectory import Trajectory, recorded_trajectory
 from koala3d.datasets.recording import Recording, chosen_views
 
 WAIT_S = 1.0  # longest pause of the arm in the playback of a recording, in addition to settling
 
 
 @dataclass(frozen=True)
-class Stop:
+class ShownView:
     """One view of a session."""
 
     name: str
@@ -34,7 +34,7 @@ class Timeline:
 
     seconds: NDArray[np.float64]  # (n,) non-decreasing, from 0; empty if the arm can take no view
     joints: NDArray[np.float64]  # (n, joints) [rad]
-    stops: tuple[Stop, ...]
+    stops: tuple[ShownView, ...]
     notes: tuple[str, ...] = ()
 
     @property
@@ -46,13 +46,13 @@ class Timeline:
         """(joints,) angles [rad] at a time [s]."""
         return np.array([np.interp(seconds, self.seconds, angle) for angle in self.joints.T])
 
-    def next_stop(self, seconds: float) -> Stop | None:
+    def next_stop(self, seconds: float) -> ShownView | None:
         """The view that is taken at a time, or the next one."""
         later = [stop for stop in self.stops if stop.seconds is not None and stop.seconds >= seconds - 1e-6]
         return min(later, key=lambda stop: stop.seconds or 0.0, default=None)
 
 
-def of_trajectory(trajectory: Trajectory, mount: Mount) -> Timeline:
+def of_trajectory(trajectory: Trajectory, mount: Carrier) -> Timeline:
     """The plan of a trajectory. Views that the arm cannot take are included with the reason.
 
     Raises PlanningError: no path between two views was found.
@@ -66,20 +66,19 @@ def of_trajectory(trajectory: Trajectory, mount: Mount) -> Timeline:
         planned = plan(trajectory, mount, without=reasons) if left else []
     timeline = of_planned(trajectory, planned, mount)
     out_of_reach = [viewpoint for viewpoint in trajectory.viewpoints() if viewpoint.name in reasons]
-    stops = [Stop(v.name, v.split, v.camera_pose(mount), None, reasons[v.name]) for v in out_of_reach]
+    stops = [ShownView(v.name, v.split, v.camera_pose(mount), None, reasons[v.name]) for v in out_of_reach]
     notes = (timeline.notes[0] + (f"; {len(reasons)} cannot be taken" if reasons else ""),)
     return replace(timeline, stops=(*timeline.stops, *stops), notes=notes)
 
 
-def of_planned(trajectory: Trajectory, planned: list[PlannedView], mount: Mount) -> Timeline:
+def of_planned(trajectory: Trajectory, planned: list[PlannedView], carrier: Carrier) -> Timeline:
     """An existing plan."""
-    carrier = carrier_of(mount)
     seconds, joints, stops = [], [], []
     for view, times in zip(planned, arrivals(trajectory, planned, carrier.turntable), strict=True):
         seconds += times
         joints += [corner for corner in view.path for _ in range(2)]
         base_from_camera = carrier.base_from_camera(view.joints)
-        stops.append(Stop(view.viewpoint.name, view.viewpoint.split, base_from_camera, times[-1]))
+        stops.append(ShownView(view.viewpoint.name, view.viewpoint.split, base_from_camera, times[-1]))
     notes = (f"{len(planned)} views in about {duration(trajectory, planned, carrier.turntable):.0f} s",)
     return Timeline(np.array(seconds), np.array(joints).reshape(-1, carrier.arm.count), tuple(stops), notes)
 
@@ -95,9 +94,8 @@ def _without_waits(clock: NDArray[np.float64], joints: NDArray[np.float64], traj
     return np.concatenate([[0.0], np.cumsum(np.minimum(np.diff(clock), longest))])
 
 
-def of_recording(recording: Recording, mount: Mount) -> Timeline:
+def of_recording(recording: Recording, carrier: Carrier) -> Timeline:
     """A recording: the joint angles and times that the controller reported. Paths between the views are drawn straight."""
-    carrier = carrier_of(mount)
     frames = sorted(recording.frames, key=lambda frame: frame.robot_time_s)
     if not frames:
         return Timeline(np.zeros(0), np.zeros((0, carrier.arm.count)), (), ("no views have been taken yet",))
@@ -112,7 +110,7 @@ def of_recording(recording: Recording, mount: Mount) -> Timeline:
             measured += f", turntable at {np.degrees(frame.turntable_angle):.1f} degrees"
         if frame.name in reasons:
             measured += f"  \nwhy: {reasons[frame.name].get('words', '')}"
-        stops.append(Stop(frame.name, frame.split, base_from_camera, float(when), image=image, measured=measured))
+        stops.append(ShownView(frame.name, frame.split, base_from_camera, float(when), image=image, measured=measured))
     waits = f", without {clock[-1] - seconds[-1]:.0f} s of waiting" if clock[-1] - seconds[-1] > WAIT_S else ""
     count = f"{len(frames)} of {len(trajectory.viewpoints())} views in {seconds[-1]:.0f} s{waits}"
     notes = (count, "paths between views are drawn straight")

@@ -8,13 +8,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from koala3d.capture.arms.carrier import Mount
+from koala3d.capture.model.carrier import Carrier
+from koala3d.capture.model.rig import RigDescription, recorded_carrier
+from koala3d.capture.model.trajectory import Trajectory, load_trajectory, recorded_trajectory
 from koala3d.capture.page.live import LiveView
 from koala3d.capture.page.session import CaptureView
 from koala3d.capture.page.timeline import of_planned, of_recording, of_trajectory
 from koala3d.capture.planning import PlannedView
-from koala3d.capture.rig.description import RigDescription, recorded_carrier
-from koala3d.capture.trajectory import Trajectory, load_trajectory, recorded_trajectory
 from koala3d.datasets.page import Page
 from koala3d.datasets.recording import Recording
 
@@ -48,7 +48,7 @@ def show(page: Page, path: Path, description: RigDescription, *, overrides: list
 
 
 def watch(
-    page: Page, path: Path, trajectory: Trajectory, mount: Mount, planned: list[PlannedView], *, stop: Callable[[], None]
+    page: Page, path: Path, trajectory: Trajectory, mount: Carrier, planned: list[PlannedView], *, stop: Callable[[], None]
 ) -> None:
     """Show a recording on a page while it is made. The stop button calls `stop`; `mount`: the arm and its camera."""
     shown = CaptureView(page, trajectory, mount, of_planned(trajectory, planned, mount))

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from koala3d.capture.model.solids import Solid
 from koala3d.capture.planning.obstacles import Obstacles
 from koala3d.capture.planning.plan import PlannedView
-from koala3d.capture.shapes.solids import Solid
 from koala3d.datasets.core import files
 
 if TYPE_CHECKING:

@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from koala3d.capture.model.trajectory import Motion, Trajectory
+from koala3d.capture.model.turntable import TurntableDescription
 from koala3d.capture.planning.plan import PlannedView
-from koala3d.capture.trajectory import Motion, Trajectory
-from koala3d.capture.turntables.description import TurntableDescription
 
 READOUT_S = 0.1  # time from the end of an exposure to the start of the next motion
 

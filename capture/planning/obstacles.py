@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from koala3d.capture.arms.carrier import Carrier, Mount, carrier_of
-from koala3d.capture.arms.parts import Shape
-from koala3d.capture.shapes.distances import box_distance, segment_distance, sight_distance
-from koala3d.capture.trajectory import Trajectory
-from koala3d.capture.turntables.description import required
+from koala3d.capture.model.carrier import Carrier
+from koala3d.capture.model.distances import box_distance, segment_distance, sight_distance
+from koala3d.capture.model.parts import Shape
+from koala3d.capture.model.trajectory import Trajectory
+from koala3d.capture.model.turntable import required
 
 Array = NDArray[np.float64]
 
@@ -21,10 +21,10 @@ Array = NDArray[np.float64]
 class Obstacles:
     """What the arm must keep clear of: (2, 3) corners of object and workspace, z of table and ceiling [m]; None: absent.
 
-    Bodies that stand around the arm belong to the `mount`.
+    Bodies that stand around the arm belong to the `carrier`.
     """
 
-    mount: Mount
+    carrier: Carrier
     clearance_m: float
     table_z: float | None = None
     object_corners: Array | None = None
@@ -33,11 +33,8 @@ class Obstacles:
     up: int = 1  # 1 where the base's z axis points up, -1 where the arm hangs
     base_from_middle: Array | None = None  # (4, 4) where the views have the middle of the target [m]
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "mount", carrier_of(self.mount))
-
     @classmethod
-    def of(cls, trajectory: Trajectory, mount: Mount) -> "Obstacles":
+    def of(cls, trajectory: Trajectory, carrier: Carrier) -> "Obstacles":
         """Those of a trajectory, for an arm and its camera. An object that turns is as wide as all of its turn.
 
         Raises UsageError: the trajectory needs a turntable, and there is none.
@@ -45,10 +42,10 @@ class Obstacles:
         safety, volume = trajectory.safety, trajectory.object
         corners = None if volume is None else volume.corners
         if trajectory.turns:
-            table = required(carrier_of(mount).turntable, trajectory.name)
+            table = required(carrier.turntable, trajectory.name)
             corners = None if corners is None else table.swept(corners)
         return cls(
-            mount,
+            carrier,
             safety.clearance_m,
             table_z=safety.table_z,
             object_corners=corners,
@@ -57,11 +54,6 @@ class Obstacles:
             up=trajectory.upwards,
             base_from_middle=trajectory.base_from_middle,
         )
-
-    @property
-    def carrier(self) -> Carrier:
-        """The arm and its camera."""
-        return carrier_of(self.mount)
 
     def flange_for(self, base_from_camera: Array) -> Array:
         """(4, 4) flange pose [m] for a wanted camera pose; see `Carrier.flange_for`."""

@@ -5,15 +5,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from koala3d.capture.arms.carrier import Mount, carrier_of
-from koala3d.capture.errors import PlanningError, UnreachableError
+from koala3d.capture.drivers.errors import PlanningError, UnreachableError
+from koala3d.capture.model.carrier import Carrier
+from koala3d.capture.model.trajectory import Trajectory
+from koala3d.capture.model.viewpoints import Viewpoint
 from koala3d.capture.planning.obstacles import Obstacles
 from koala3d.capture.planning.order import short_order
 from koala3d.capture.planning.paths import find_path
 from koala3d.capture.planning.sequence import shortest
 from koala3d.capture.planning.solutions import Joints, Solutions, solve
-from koala3d.capture.trajectory import Trajectory
-from koala3d.capture.viewpoints import Viewpoint
 
 SHOWN = 5  # views that an error lists with their reasons
 
@@ -28,21 +28,21 @@ class PlannedView:
     """Joint angles to pass through from the previous view, the last being `joints`; only `joints` for the first view."""
 
 
-def plan(trajectory: Trajectory, mount: Mount, *, without: Collection[str] = ()) -> list[PlannedView]:
+def plan(trajectory: Trajectory, mount: Carrier, *, without: Collection[str] = ()) -> list[PlannedView]:
     """Joint angles for every view of a trajectory, in the order of capture, with collision-free paths between them.
 
     The order is that of the trajectory, or with `motion.order` "shortest" another one if it saves time. The result depends
     only on the arguments, so that a session can be repeated and resumed.
 
     Args:
-        mount: the arm and its camera; or a (4, 4) nominal camera mount [m] on the default arm.
+        mount: the arm and its camera.
         without: names of views to leave out.
 
     Raises:
         UnreachableError: names the views that cannot be taken, and why.
         PlanningError: no path between two views was found.
     """
-    obstacles = Obstacles.of(trajectory, carrier_of(mount))
+    obstacles = Obstacles.of(trajectory, mount)
     solved = [solve(viewpoint, obstacles) for viewpoint in trajectory.viewpoints() if viewpoint.name not in without]
     failures = [f"{one.viewpoint.name}: {one.reason}" for one in solved if one.reason]
     if failures:
@@ -88,8 +88,8 @@ def connect(start: Joints, goal: Joints, obstacles: Obstacles, *, where: str = "
     return path
 
 
-def blocked(trajectory: Trajectory, mount: Mount) -> dict[str, str]:
+def blocked(trajectory: Trajectory, mount: Carrier) -> dict[str, str]:
     """The views of a trajectory that the arm cannot take, with the reasons; empty if it can take all."""
-    obstacles = Obstacles.of(trajectory, carrier_of(mount))
+    obstacles = Obstacles.of(trajectory, mount)
     solved = [solve(viewpoint, obstacles) for viewpoint in trajectory.viewpoints()]
     return {one.viewpoint.name: one.reason for one in solved if one.reason}

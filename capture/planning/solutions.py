@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.capture import kinematics
-from koala3d.capture.arms.carrier import Carrier, Mount, carrier_of
+from koala3d.capture.model import kinematics
+from koala3d.capture.model.carrier import Carrier
+from koala3d.capture.model.viewpoints import Viewpoint
 from koala3d.capture.planning.obstacles import Obstacles
-from koala3d.capture.viewpoints import Viewpoint
 from koala3d.datasets import pose
 
 Joints = NDArray[np.float64]
@@ -26,11 +26,11 @@ class Solutions:
     rolls: NDArray[np.int64]  # (m,) index of the roll of the view that each of them takes
     reason: str = ""  # why none of them can be used; empty if all can
 
-    def taken_by(self, index: int, mount: Mount) -> Viewpoint:
+    def taken_by(self, index: int, mount: Carrier) -> Viewpoint:
         """The view with the camera pose that one of the configurations reaches."""
         wanted = self.viewpoint
         if wanted.base_from_camera is None:
-            return replace(wanted, base_from_camera=carrier_of(mount).base_from_camera(self.joints[index]))
+            return replace(wanted, base_from_camera=mount.base_from_camera(self.joints[index]))
         turned = _turned(wanted.base_from_camera, wanted.rolls[int(self.rolls[index])])
         return replace(wanted, base_from_camera=turned, rolls=(0.0,))
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from koala3d.capture.model.trajectory import Trajectory, recorded_trajectory
 from koala3d.capture.recording.focus import luminance, sharpness
-from koala3d.capture.trajectory import Trajectory, recorded_trajectory
 from koala3d.datasets import pose
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import KoalaError

@@ -4,7 +4,6 @@ So a kill at any moment loses no view: what is on the disk stays, and a view tha
 """
 
 import itertools
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -12,11 +11,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from koala3d.capture.model.trajectory import Trajectory, recorded_trajectory
+from koala3d.capture.model.viewpoints import JointViews
 from koala3d.capture.planning import Obstacles, PlannedView, connect
 from koala3d.capture.recording.recorder import record
-from koala3d.capture.rig.opening import Rig
-from koala3d.capture.trajectory import Trajectory, recorded_trajectory
-from koala3d.capture.viewpoints import JointViews
+from koala3d.capture.rig.rig import Rig
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.recording import MANIFEST, Recording
@@ -59,11 +58,8 @@ class GrowingRecording:
         """Whether the recording is on the disk."""
         return (self.out / MANIFEST).is_file()
 
-    def resume(self, advance: Callable[[str], None] = lambda name: None) -> None:
+    def resume(self) -> None:
         """Continue the recording in the folder: take the views that were chosen and are missing.
-
-        Args:
-            advance: called with the name of each view.
 
         Raises UsageError where the recording is another kind of session, and what `record` raises.
         """
@@ -77,7 +73,7 @@ class GrowingRecording:
         self.views = [
             GrownView(joints, group.use) for group in groups if isinstance(group, JointViews) for joints in group.joints_deg
         ]
-        self._record(self.rig, resume=True, advance=advance)
+        self._record(self.rig, resume=True)
 
     @property
     def taken(self) -> int:
@@ -112,10 +108,9 @@ class GrowingRecording:
         views = [JointViews(kind="joints", use=one[0].use, joints_deg=[view.joints_deg for view in one]) for one in groups]
         return self.trajectory.model_copy(update={"views": views, "split": None})
 
-    def _record(self, rig: Rig, *, resume: bool, advance: Callable[[str], None] = lambda name: None) -> None:
+    def _record(self, rig: Rig, *, resume: bool) -> None:
         grown = self._grown()
-        planned = self._planned(grown, resume)
-        record(grown, rig, self.out, resume=resume or self._resumed, planned=planned, advance=advance)
+        record(grown, rig, self.out, resume=resume or self._resumed, planned=self._planned(grown, resume))
 
     def _planned(self, grown: Trajectory, resume: bool) -> list[PlannedView]:
         """All views. The recorder finds a path to the first that is missing; those to others that follow it are found here."""

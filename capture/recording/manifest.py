@@ -4,10 +4,10 @@ from datetime import datetime
 from importlib.metadata import version
 from typing import Any
 
-from koala3d.capture.arms.carrier import Carrier
-from koala3d.capture.rig.description import InstallationDescription, RigDescription, recorded_rig
-from koala3d.capture.rig.opening import Rig
-from koala3d.capture.trajectory import Trajectory, recorded_trajectory
+from koala3d.capture.model.carrier import Carrier
+from koala3d.capture.model.rig import InstallationDescription, RigDescription, recorded_rig
+from koala3d.capture.model.trajectory import Trajectory, recorded_trajectory
+from koala3d.capture.rig.rig import Rig
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.recording import Recording
 

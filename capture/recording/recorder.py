@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from koala3d.capture.errors import CaptureError, MotionError, naming
-from koala3d.capture.measurements import Image, Pixels, RobotState
+from koala3d.capture.drivers.errors import CaptureError, MotionError, naming
+from koala3d.capture.drivers.measurements import Image, Pixels, RobotState
+from koala3d.capture.model.trajectory import CameraSettings, Motion, Trajectory
 from koala3d.capture.planning import Obstacles, PlannedView, connect, plan
 from koala3d.capture.recording.manifest import manifest_of, require_same_session
-from koala3d.capture.recording.writer import Advance, Stop, Writer
-from koala3d.capture.rig.opening import Rig
-from koala3d.capture.trajectory import CameraSettings, Motion, Trajectory
+from koala3d.capture.recording.writer import Advance, TakenView, Writer
+from koala3d.capture.rig.rig import Rig
 from koala3d.datasets.core import arrays, files
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.core.space import require_room
@@ -113,14 +113,14 @@ def _turn(rig: Rig, view: PlannedView) -> None:
 
 def _expose(
     recordings: list[Recording], rig: Rig, index: int, view: PlannedView, arrived_ns: int, trajectory: Trajectory
-) -> Stop:
+) -> TakenView:
     """Take the pictures of one view with every camera, with the pose before and after them all."""
     name, split, motion = view.viewpoint.name, view.viewpoint.split, trajectory.motion
     for one in rig.each.values():
         if one.ground_truth is not None:
             one.ground_truth.prepare(index)
     table = None if view.viewpoint.turntable is None else rig.turntable
-    state, angle = rig.robot.state(), table and table.angle()
+    state, angle = rig.robot.state(), None if table is None else table.angle()
     pictures: list[list[Image]] = []
     for camera_name, one in rig.each.items():
         with naming(camera_name):
@@ -128,21 +128,36 @@ def _expose(
             if motion.settle_difference is not None and not pictures:  # the first camera waits until everything is at rest
                 image, state = _still(one, image, motion, name)
             pictures.append([image, *_shorter(one, trajectory.camera)])
-    after, angle_after = rig.robot.state(newer_than_ns=time.monotonic_ns()), table and table.angle()
+    after, angle_after = rig.robot.state(newer_than_ns=time.monotonic_ns()), None if table is None else table.angle()
     for recording, one in zip(recordings, rig.each.values(), strict=True):
         if one.ground_truth is not None:
             one.ground_truth.save_truth(recording.path / TRUTH, name, split)
-    arm = (state.base_from_flange, state.joints, state.robot_time_s)
-    then = (after.base_from_flange, after.joints, after.robot_time_s)
-    turned: dict[str, Any] = {"turntable_angle": angle, "turntable_angle_after": angle_after}
-    lights = rig.description.lights_on(trajectory.lights)
-    stop = []
-    for image, *shorter in pictures:
-        exposed = (image.host_time_ns, image.device_ticks, image.exposure_us)
-        settle_s = motion.settle_time_s + (image.host_time_ns - arrived_ns) * 1e-9
-        frame = Frame(index, name, split, f"{IMAGES}/{name}.png", *arm, *exposed, settle_s, "", *then, **turned, lights=lights)
-        stop.append((frame, [image, *shorter]))
-    return stop
+    return [
+        (
+            Frame(
+                index=index,
+                name=name,
+                split=split,
+                image=f"{IMAGES}/{name}.png",
+                base_from_flange=state.base_from_flange,
+                joints=state.joints,
+                robot_time_s=state.robot_time_s,
+                host_time_ns=taken[0].host_time_ns,
+                device_ticks=taken[0].device_ticks,
+                exposure_us=taken[0].exposure_us,
+                settle_s=motion.settle_time_s + (taken[0].host_time_ns - arrived_ns) * 1e-9,
+                sha256="",  # known once the writer has the file
+                base_from_flange_after=after.base_from_flange,
+                joints_after=after.joints,
+                robot_time_after_s=after.robot_time_s,
+                turntable_angle=angle,
+                turntable_angle_after=angle_after,
+                lights=rig.description.lights_on(trajectory.lights),
+            ),
+            taken,
+        )
+        for taken in pictures
+    ]
 
 
 def _shorter(rig: Rig, camera: CameraSettings) -> list[Image]:

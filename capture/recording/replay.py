@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from koala3d.capture.errors import CaptureError
+from koala3d.capture.drivers.errors import CaptureError
+from koala3d.capture.drivers.protocols import Robot
+from koala3d.capture.model.rig import recorded_carrier
+from koala3d.capture.model.trajectory import recorded_trajectory
 from koala3d.capture.planning import Obstacles, connect
-from koala3d.capture.rig.description import recorded_carrier
-from koala3d.capture.rig.protocols import Robot
-from koala3d.capture.trajectory import recorded_trajectory
 from koala3d.datasets import pose
 from koala3d.datasets.core import files
 from koala3d.datasets.recording import TRUTH, Recording

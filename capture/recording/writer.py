@@ -7,14 +7,14 @@ from dataclasses import replace
 from types import TracebackType
 from typing import Self
 
-from koala3d.capture.measurements import Image
+from koala3d.capture.drivers.measurements import Image
 from koala3d.datasets.core import files
 from koala3d.datasets.imaging import images
 from koala3d.datasets.radiometry.stored import RAW_FOLDER, packed
 from koala3d.datasets.recording import DEPTH, DepthPicture, Exposure, Frame, Recording
 
 Advance = Callable[[str], None]
-Stop = list[tuple[Frame, list[Image]]]
+TakenView = list[tuple[Frame, list[Image]]]
 """What each camera took while the arm stood at one view: a frame, without hashes, and its exposures, longest first."""
 WAITING = 2  # stops that may be queued for the disk; if it is slower than the arm, the arm waits
 
@@ -32,7 +32,7 @@ class Writer:
 
     def __init__(self, recordings: Sequence[Recording], advance: Advance) -> None:
         self.recordings, self.advance = recordings, advance
-        self._queue: queue.Queue[Stop | None] = queue.Queue(WAITING)
+        self._queue: queue.Queue[TakenView | None] = queue.Queue(WAITING)
         self._failure: BaseException | None = None
         self._thread = threading.Thread(target=self._work, name="frame writer", daemon=True)
 
@@ -46,7 +46,7 @@ class Writer:
         if kind is None and self._failure is not None:
             raise self._failure
 
-    def put(self, stop: Stop) -> None:
+    def put(self, stop: TakenView) -> None:
         """Hand over what was taken at a view, in the order of the recordings; blocks while the queue is full."""
         if self._failure is not None:
             raise self._failure

@@ -1,1 +1,1 @@
-"""The rig: its description, how it is opened, and the protocols of robot and camera."""
+"""The rig: how it is opened, and what every driver in it must do."""

@@ -1,4 +1,4 @@
-"""What every camera driver must do, as checks that run on emulated cameras in the tests, on real ones by `capture test-camera`.
+"""What every camera driver must do, as checks: of emulated cameras in the tests, of real ones by `capture doctor --pictures`.
 
     subject = Subject(lambda settings: MyCamera(settings, serial="7"), CameraSettings(width=640, height=480))
     broken = check(subject)  # clause -> what is wrong; empty where the driver keeps the contract
@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from koala3d.capture.errors import CaptureError
-from koala3d.capture.rig.protocols import Camera, Image
-from koala3d.capture.trajectory import CameraSettings
+from koala3d.capture.drivers.errors import CaptureError
+from koala3d.capture.drivers.protocols import Camera, Image
+from koala3d.capture.model.trajectory import CameraSettings
 from koala3d.datasets.camera_model import Camera as Intrinsics
 from koala3d.datasets.core.errors import KoalaError
 from koala3d.datasets.imaging.region import Region

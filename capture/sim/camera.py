@@ -11,16 +11,16 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.capture.cameras.device import Device
-from koala3d.capture.errors import SimulationError
-from koala3d.capture.measurements import Image
+from koala3d.capture.drivers.errors import SimulationError
+from koala3d.capture.drivers.measurements import Image
+from koala3d.capture.model.device import Device
+from koala3d.capture.model.flaws import Flaws, SensorMaps, lamp_light
+from koala3d.capture.model.trajectory import Trajectory
 from koala3d.capture.sim.emulated import camera_from_depth, emulated
-from koala3d.capture.sim.laboratory.flaws import Flaws, SensorMaps, lamp_light
 from koala3d.capture.sim.laboratory.lens import Lens, Sensor
 from koala3d.capture.sim.laboratory.views import make_view
 from koala3d.capture.sim.truth import RigTruth, seed_of_camera
 from koala3d.capture.sim.turntable import SimulatedTurntable
-from koala3d.capture.trajectory import Trajectory
 from koala3d.datasets import pose
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core import files
@@ -77,7 +77,7 @@ def blur_moments(camera: Camera, base_from_camera: NDArray[np.float64]) -> NDArr
 
 
 class SimulatedCamera:
-    """A camera whose light is computed; implements `capture.rig.protocols.Camera` and `GroundTruth`.
+    """A camera whose light is computed; implements `capture.drivers.protocols.Camera` and `GroundTruth`.
 
     Args:
         trajectory: camera settings, and positions of object, board and table.
@@ -132,7 +132,7 @@ class SimulatedCamera:
         self._frame = frame
 
     def grab(self) -> Image:
-        """See `capture.rig.protocols.Camera`. `device_ticks` are nanoseconds of the host clock, as for a USB camera."""
+        """See `capture.drivers.protocols.Camera`. `device_ticks` are nanoseconds of the host clock, as for a USB camera."""
         settings, moment = self.trajectory.camera, time.monotonic_ns()
         exposure_us = self._exposure_us
         poses = self.truth.seen_from(self._arm.exposed(exposure_us * 1e-6, MOMENTS))
@@ -172,7 +172,7 @@ class SimulatedCamera:
         return self.view.depth(camera, self.world_from_camera @ camera_from_depth(), self._seed)
 
     def set_exposure(self, exposure_us: float) -> None:
-        """See `capture.rig.protocols.Camera`."""
+        """See `capture.drivers.protocols.Camera`."""
         self._driver.set_exposure(exposure_us)
         self._exposure_us = exposure_us
 
@@ -192,7 +192,7 @@ class SimulatedCamera:
         return [] if self._exposure_us == self.trajectory.camera.exposure_us else [round(self._exposure_us)]
 
     def description(self) -> dict[str, Any]:
-        """See `capture.rig.protocols.Camera`."""
+        """See `capture.drivers.protocols.Camera`."""
         return {**self._driver.description(), "simulated": True}
 
     def save_truth(self, folder: Path, name: str, split: str) -> None:

@@ -1,14 +1,14 @@
 """Settings of cameras that pylon's emulation does not have, laid over those that it has, and faults of them.
 
-The families differ in the names by which they encode colours; see `capture.cameras.start_state`.
+The families differ in the names by which they encode colours; see `capture.drivers.cameras.start_state`.
 """
 
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Any
 
-from koala3d.capture.cameras.nodes import Nodes
-from koala3d.capture.errors import CaptureError
+from koala3d.capture.drivers.cameras.nodes import Nodes
+from koala3d.capture.drivers.errors import CaptureError
 
 
 @dataclass(frozen=True)

@@ -4,19 +4,21 @@ pylon's emulation shows picture files; librealsense's software device is fed pic
 simulated through pylon's, with the settings of the trajectory.
 """
 
+from abc import ABC, abstractmethod
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.capture.cameras.basler import Basler, serial_of
-from koala3d.capture.cameras.device import Device
-from koala3d.capture.errors import CaptureError
-from koala3d.capture.measurements import Image, Pixels
+from koala3d.capture.drivers.cameras.base import CameraDriver
+from koala3d.capture.drivers.cameras.basler import Basler, serial_of
+from koala3d.capture.drivers.errors import CaptureError
+from koala3d.capture.drivers.measurements import Image, Pixels
+from koala3d.capture.model.device import Device
+from koala3d.capture.model.trajectory import CameraSettings
 from koala3d.capture.sim.realsense_device import BASELINE_M, UNIT_M, SoftwareRealSense
-from koala3d.capture.trajectory import CameraSettings
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.imaging import images
 from koala3d.datasets.imaging.region import Region
@@ -27,45 +29,52 @@ DISPARITY_PX, MOST_PX = 0.08, 126.0
 """Standard deviation of a disparity, and the largest that is searched: nearer surfaces have no depth."""
 
 
-class Emulated(Protocol):
-    """A camera that shows what it is given."""
+class Emulated(ABC):
+    """A camera that shows what it is given, through a driver."""
 
-    def __enter__(self) -> Self: ...
-    def __exit__(self, *exception: object) -> None: ...
+    def __init__(self, driver: CameraDriver) -> None:
+        self._driver = driver
 
+    def __enter__(self) -> Self:
+        self._driver.__enter__()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._driver.__exit__(*exception)
+
+    @abstractmethod
     def camera(self, sensor_camera: Camera) -> Camera:
         """The true camera of the pictures, given that of the whole sensor."""
-        ...
 
     @property
+    @abstractmethod
     def region(self) -> Region:
         """The pixels whose flaws are simulated."""
-        ...
 
     @property
     def depth_camera(self) -> Camera | None:
-        """The camera of its depth; None where it has none."""
-        ...
+        """The camera of its depth; None without a depth sensor."""
+        return None
 
+    @abstractmethod
     def expose(self, pixels: Pixels, depth: NDArray[np.float32] | None, rng: np.random.Generator) -> Image:
         """Deliver a picture, and (height, width) true depth along z [m] with the noise of the depth sensor."""
-        ...
 
     def set_exposure(self, exposure_us: float) -> None:
-        """See `capture.rig.protocols.Camera`."""
+        """See `capture.drivers.protocols.Camera`."""
+        self._driver.set_exposure(exposure_us)
 
     def description(self) -> dict[str, Any]:
-        """See `capture.rig.protocols.Camera`."""
-        ...
+        """See `capture.drivers.protocols.Camera`."""
+        return self._driver.description()
 
 
-class EmulatedBasler:
+class EmulatedBasler(Emulated):
     """The emulated camera of pylon with a number, from 0: each can be opened once."""
 
-    depth_camera = None
-
     def __init__(self, settings: CameraSettings, number: int = 0) -> None:
-        self._driver, self._count = Basler(settings, serial=serial_of(number), emulated=True), 0
+        self._basler, self._count = Basler(settings, Device(serial=serial_of(number)), emulated=True), 0
+        super().__init__(self._basler)
         self._folder: TemporaryDirectory[str] | None = None  # while it is open
 
     def __enter__(self) -> Self:
@@ -90,7 +99,7 @@ class EmulatedBasler:
     @property
     def region(self) -> Region:
         """See `Emulated`."""
-        return self._driver.region
+        return self._basler.region
 
     def expose(self, pixels: Pixels, depth: NDArray[np.float32] | None, rng: np.random.Generator) -> Image:
         """See `Emulated`; there is no depth."""
@@ -99,37 +108,26 @@ class EmulatedBasler:
         self._count += 1
         picture = Path(self._folder.name) / f"{self._count}.png"
         images.write(picture, pixels)
-        self._driver.feed(str(picture))
+        self._basler.feed(str(picture))
         image = self._driver.grab()
         picture.unlink()
         return image
 
-    def set_exposure(self, exposure_us: float) -> None:
-        """See `Emulated`."""
-        self._driver.set_exposure(exposure_us)
 
-    def description(self) -> dict[str, Any]:
-        """See `Emulated`."""
-        return self._driver.description()
-
-
-class EmulatedRealSense:
+class EmulatedRealSense(Emulated):
     """librealsense's software device. It sends only during an exposure, so that rendering has the processor for itself."""
 
     def __init__(self, settings: CameraSettings, device: Device, sensor_camera: Camera) -> None:
-        from koala3d.capture.cameras.realsense import RealSense
+        from koala3d.capture.drivers.cameras.realsense import RealSense
 
         self._settings, self._device = settings, device
         self._source = SoftwareRealSense(sensor_camera)
-        self._driver = RealSense(settings, device.model_copy(update={"serial": ""}), emulation=self._source)
+        super().__init__(RealSense(settings, device.model_copy(update={"serial": ""}), emulation=self._source))
 
     def __enter__(self) -> Self:
-        self._driver.__enter__()
+        super().__enter__()
         self._source.stop()
         return self
-
-    def __exit__(self, *exception: object) -> None:
-        self._driver.__exit__(*exception)
 
     def camera(self, sensor_camera: Camera) -> Camera:
         """See `Emulated`."""
@@ -161,14 +159,6 @@ class EmulatedRealSense:
             return self._driver.grab()
         finally:
             self._source.stop()
-
-    def set_exposure(self, exposure_us: float) -> None:
-        """See `Emulated`."""
-        self._driver.set_exposure(exposure_us)
-
-    def description(self) -> dict[str, Any]:
-        """See `Emulated`."""
-        return self._driver.description()
 
 
 def camera_from_depth() -> NDArray[np.float64]:

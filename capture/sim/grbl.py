@@ -1,6 +1,6 @@
 """A simulated stepper controller with Grbl 1.1, on a network port or a pseudo-terminal. It turns one axis.
 
-What it knows of the protocol is listed in `capture.turntables.grbl`; beyond that the lock of an alarm (`$X`) and homing (`$H`).
+It knows the part of the protocol that `capture.drivers.turntable.grbl` lists, the lock of an alarm (`$X`) and homing (`$H`).
 """
 
 import os

@@ -10,12 +10,12 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.capture.arms.model import ArmModel
-from koala3d.capture.errors import MotionError, RigConnectionError, StopLatched
-from koala3d.capture.measurements import RobotState
-from koala3d.capture.robots.settling import Settling, Window
-from koala3d.capture.safety import Limits
-from koala3d.capture.sim.controller.arm import Arm
+from koala3d.capture.drivers.errors import MotionError, RigConnectionError, StopLatched
+from koala3d.capture.drivers.measurements import RobotState
+from koala3d.capture.drivers.safety import Limits
+from koala3d.capture.drivers.ur.settling import Settling, Window
+from koala3d.capture.model.arm import ArmModel
+from koala3d.capture.sim.controller.arm import SimulatedArm
 
 Array = NDArray[np.float64]
 TICK_S = 0.002  # period of the simulation in its own time [s]
@@ -23,7 +23,7 @@ DECELERATION = 3.0  # of the fastest joint after `stop` [rad/s^2]
 
 
 class KinematicArm:
-    """Implements `capture.rig.protocols.Robot`, and what a simulated camera needs.
+    """Implements `capture.drivers.protocols.Robot`, and what a simulated camera needs.
 
     Args:
         model: which arm it is.
@@ -58,7 +58,7 @@ class KinematicArm:
         rng = np.random.default_rng([seed if links_seed is None else links_seed, 1])
         links = model.links.calibrated(rng, length_m, angle_rad)
         home = model.hanging_home if hangs else model.home
-        self._arm = Arm(seed, home, repeatability_m, repeatability_rad, links, model=model)
+        self._arm = SimulatedArm(seed, home, repeatability_m, repeatability_rad, links, model=model)
         self._began = time.monotonic()
         self._stopped, self._lock, self._entered = threading.Event(), threading.Lock(), False
 

@@ -42,7 +42,7 @@ DEPTH_OPTIONS = {"emitter_enabled": (0, 2, 1, 1), "laser_power": (0, 360, 150, 3
 
 
 class SoftwareRealSense:
-    """`capture.cameras.realsense.Emulation`.
+    """`capture.drivers.cameras.realsense.Emulation`.
 
     Args:
         sensor_camera: camera of the whole colour sensor; its modes are scaled pictures of it, cut to their shape.

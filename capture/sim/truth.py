@@ -9,8 +9,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.capture.arms.carrier import Carrier
-from koala3d.capture.trajectory import Trajectory
+from koala3d.capture.model.carrier import Carrier
+from koala3d.capture.model.trajectory import Trajectory
 from koala3d.datasets import pose
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core.errors import UsageError

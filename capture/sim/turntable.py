@@ -6,8 +6,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from koala3d.capture.model.turntable import TurntableDescription
 from koala3d.capture.sim.grbl import SimulatedGrbl
-from koala3d.capture.turntables.description import TurntableDescription
 from koala3d.datasets import pose
 from koala3d.datasets.turntable import Axis
 

@@ -186,7 +186,20 @@ def make_recording():
             image = path / "images" / f"{name}.png"
             images.write(image, np.rint(255 * np.repeat(grey[..., None], 3, -1)).astype(np.uint8))
             recording.append(
-                Frame(index, name, "calibration", f"images/{name}.png", reported, np.zeros(6), 0.0, 0, 0, 1e4, 0.1, "0" * 64)
+                Frame(
+                    index=index,
+                    name=name,
+                    split="calibration",
+                    image=f"images/{name}.png",
+                    base_from_flange=reported,
+                    joints=np.zeros(6),
+                    robot_time_s=0.0,
+                    host_time_ns=0,
+                    device_ticks=0,
+                    exposure_us=1e4,
+                    settle_s=0.1,
+                    sha256="0" * 64,
+                )
             )
         return session
 

@@ -1,22 +1,28 @@
-"""The folders of the package form no circle: a driver does not import the rig that opens it."""
+"""Neither folders nor modules of the package form a circle: a driver does not import the rig that opens it."""
 
 import ast
+from collections.abc import Callable
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[2] / "capture"
 
 
-def place(name: str) -> str:
-    """Folder of a module, or the module itself where it is directly in the package."""
+def module(name: str) -> str:
+    """The module, or the package, to which a full name belongs."""
     parts = name.split(".")[2:]
     while parts and not (PACKAGE.joinpath(*parts).is_dir() or PACKAGE.joinpath(*parts).with_suffix(".py").is_file()):
         parts = parts[:-1]  # a name inside a module
-    inside_folder = len(parts) > 1 and not PACKAGE.joinpath(*parts).is_dir()
-    return "/".join(parts[:-1] if inside_folder else parts)
+    return "/".join(parts)
 
 
-def imports() -> dict[str, set[str]]:
-    """Which places each place imports, also inside functions."""
+def folder(name: str) -> str:
+    """Folder of the module to which a full name belongs; the module itself if it is directly in the package."""
+    found = module(name)
+    return found if "/" not in found or PACKAGE.joinpath(found).is_dir() else found.rpartition("/")[0]
+
+
+def imports(place: Callable[[str], str]) -> dict[str, set[str]]:
+    """Which places each place imports, also inside functions and for type checkers."""
     found: dict[str, set[str]] = {}
     for path in PACKAGE.rglob("*.py"):
         here = place(".".join(("koala3d", "capture", *path.relative_to(PACKAGE).with_suffix("").parts)).removesuffix(".__init__"))
@@ -30,15 +36,9 @@ def imports() -> dict[str, set[str]]:
     return found
 
 
-def test_the_walk_sees_what_it_should() -> None:
-    found = imports()
-    assert {"rig", "cameras", "robots", "sim", "sim/laboratory", "planning", "cli", "trajectory"} <= set(found)
-    assert {"cameras", "robots", "sim", "trajectory"} <= found["rig"] and "rig" in found["recording"]
-
-
-def test_no_folder_imports_itself_through_another() -> None:
-    found = imports()
-    circles = []
+def circles(found: dict[str, set[str]]) -> list[str]:
+    """The places that import themselves through others."""
+    round_trips = []
     for start in found:
         reached, waiting = set(), set(found[start])
         while waiting:
@@ -46,5 +46,20 @@ def test_no_folder_imports_itself_through_another() -> None:
             reached.add(one)
             waiting |= found.get(one, set()) - reached
         if start in reached:
-            circles.append(start)
-    assert not circles
+            round_trips.append(start)
+    return round_trips
+
+
+def test_the_walk_sees_what_it_should() -> None:
+    found = imports(folder)
+    assert {"rig", "drivers/cameras", "drivers/ur", "sim", "sim/laboratory", "planning", "cli", "model"} <= set(found)
+    assert {"drivers/cameras", "drivers/ur", "sim", "model"} <= found["rig"] and "rig" in found["recording"]
+    assert "model/arm" in imports(module)["model/carrier"]
+
+
+def test_no_folder_imports_itself_through_another() -> None:
+    assert not circles(imports(folder))
+
+
+def test_no_module_imports_itself_through_another() -> None:
+    assert not circles(imports(module))

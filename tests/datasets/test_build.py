@@ -49,7 +49,20 @@ def recording(tmp_path: Path, far_wall: Callable) -> Recording:
         flange = base_from_camera @ pose.inverse(FLANGE_FROM_CAMERA)
         split = "test" if index in (0, 3) else "train"
         recording.append(
-            Frame(index, name, split, f"images/{name}.png", flange, np.zeros(6), 1.0, 1, 1, 1e4, 0.3, files.sha256(path))
+            Frame(
+                index=index,
+                name=name,
+                split=split,
+                image=f"images/{name}.png",
+                base_from_flange=flange,
+                joints=np.zeros(6),
+                robot_time_s=1.0,
+                host_time_ns=1,
+                device_ticks=1,
+                exposure_us=1e4,
+                settle_s=0.3,
+                sha256=files.sha256(path),
+            )
         )
     files.write_text(recording.path / "truth" / "object.ply", "ply\n")
     files.write_json(recording.path / "truth" / "poses.json", {"secret": True})

@@ -90,7 +90,20 @@ def stranger_recording(folder: Path, name: str) -> tuple[Path, Path]:
     recording = Recording.create(folder / "recording", {"trajectory": {}, "object": volume})
     images.write(recording.path / "images" / "0.png", np.zeros((12, 16, 3), np.uint8))
     recording.append(
-        Frame(0, name, "train", "images/0.png", pose.look_at((0.5, 0, 0.5), (0, 0, 0)), np.zeros(6), 0.0, 0, 0, 1e4, 0.1, "")
+        Frame(
+            index=0,
+            name=name,
+            split="train",
+            image="images/0.png",
+            base_from_flange=pose.look_at((0.5, 0, 0.5), (0, 0, 0)),
+            joints=np.zeros(6),
+            robot_time_s=0.0,
+            host_time_ns=0,
+            device_ticks=0,
+            exposure_us=1e4,
+            settle_s=0.1,
+            sha256="",
+        )
     )
     known = UncertainPose(np.eye(4), 1e-8 * np.eye(6))
     Calibration(camera, {}, known, known).save(folder / "calibration.json")

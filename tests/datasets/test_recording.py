@@ -12,18 +12,18 @@ from koala3d.datasets.recording import FRAMES, Frame, Recording
 
 def frame(index: int) -> Frame:
     return Frame(
-        index,
-        f"{index:03d}",
-        "train",
-        f"images/{index:03d}.png",
-        pose.from_rotation_vector((0.1, 0.2, index)),
-        np.arange(6.0),
-        1.5,
-        10**18 + index,
-        7,
-        1e4,
-        0.3,
-        "",
+        index=index,
+        name=f"{index:03d}",
+        split="train",
+        image=f"images/{index:03d}.png",
+        base_from_flange=pose.from_rotation_vector((0.1, 0.2, index)),
+        joints=np.arange(6.0),
+        robot_time_s=1.5,
+        host_time_ns=10**18 + index,
+        device_ticks=7,
+        exposure_us=1e4,
+        settle_s=0.3,
+        sha256="",
     )
 
 

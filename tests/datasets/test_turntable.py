@@ -35,8 +35,25 @@ def recorded(path: Path, lamps, lights, *, angles=ANGLES, azimuths=(0.0, 0.0, 0.
         flange = pose.look_at(eye, (0.41, 0, 0.1)) @ pose.inverse(MOUNT)
         picture = path / "images" / f"{index}.png"
         images.write(picture, np.full((18, 24, 3), 0.1 * index))
-        line = (index, f"{index}", "train", f"images/{index}.png", flange, np.zeros(6), 1.0, 1, 1, 1e4, 0.3)
-        recording.append(Frame(*line, files.sha256(picture), turntable_angle=angle, turntable_angle_after=angle, lights=lights))
+        recording.append(
+            Frame(
+                index=index,
+                name=f"{index}",
+                split="train",
+                image=f"images/{index}.png",
+                base_from_flange=flange,
+                joints=np.zeros(6),
+                robot_time_s=1.0,
+                host_time_ns=1,
+                device_ticks=1,
+                exposure_us=1e4,
+                settle_s=0.3,
+                sha256=files.sha256(picture),
+                turntable_angle=angle,
+                turntable_angle_after=angle,
+                lights=lights,
+            )
+        )
     return Recording.open(path)
 
 

@@ -190,7 +190,7 @@ def check_settings(package: str, settings: list[str], trajectory: Path | None = 
 
         load_config("surfnerf", "fast", settings)
     elif package == "capture" and settings:
-        from koala3d.capture.trajectory import load_trajectory
+        from koala3d.capture.model.trajectory import load_trajectory
 
         path = shipped(Path(trajectory or "TRAJECTORY"))
         assert path is not None, f"{trajectory} does not exist"

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from koala3d.capture.errors import CaptureError
-from koala3d.capture.robots.timing import Deadlines
-from koala3d.capture.robots.ur import UniversalRobot
+from koala3d.capture.drivers.errors import CaptureError
+from koala3d.capture.drivers.ur.link import Deadlines
+from koala3d.capture.drivers.ur.robot import UniversalRobot
 from koala3d.capture.sim.controller.process import SimulatedController
 from koala3d.datasets.recording import Recording
 from tests.capture.moving import FAR, UNHURRIED, in_motion, moves, rests, stopped_on_its_way
@@ -48,7 +48,7 @@ class Fault:
     """What goes wrong, what the user reads, what a person does about it, and the longest time from fault to message [s].
 
     `client` is the one of `make test`. A fault that is tried with our own here is tried with the vendor's in the middle of a
-    single motion, in `tests/capture/robots/test_ur.py`, and the other way round.
+    single motion, in `tests/capture/drivers/ur/test_robot.py`, and the other way round.
     """
 
     strike: Callable[[Session], None]

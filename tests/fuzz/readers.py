@@ -8,9 +8,9 @@ from sound import example_state
 
 from koala3d.calib.errors import TargetError
 from koala3d.calib.sessions import importer
+from koala3d.capture.model.rig import load_rig
+from koala3d.capture.model.trajectory import load_trajectory
 from koala3d.capture.recording.check import check as check_recording
-from koala3d.capture.rig.description import load_rig
-from koala3d.capture.trajectory import load_trajectory
 from koala3d.datasets.build import build, extra_truth
 from koala3d.datasets.calibration import Calibration
 from koala3d.datasets.checks.check import check

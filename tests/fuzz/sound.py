@@ -105,18 +105,18 @@ def _recording(folder: Path) -> None:
         matrix = pose.look_at((np.cos(number), np.sin(number), 0.5), (0, 0, 0))
         recording.append(
             Frame(
-                number,
-                name,
-                "train",
-                f"images/{name}.png",
-                matrix,
-                np.zeros(6),
-                0.1 * number,
-                number,
-                number,
-                1e4,
-                0.1,
-                files.sha256(path),
+                index=number,
+                name=name,
+                split="train",
+                image=f"images/{name}.png",
+                base_from_flange=matrix,
+                joints=np.zeros(6),
+                robot_time_s=0.1 * number,
+                host_time_ns=number,
+                device_ticks=number,
+                exposure_us=1e4,
+                settle_s=0.1,
+                sha256=files.sha256(path),
             )
         )
     ply.write_points(folder / "truth" / "object.ply", np.zeros((3, 3)))

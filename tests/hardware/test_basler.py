@@ -9,9 +9,10 @@ import time
 import numpy as np
 import pytest
 
-from koala3d.capture.cameras.basler import Basler
-from koala3d.capture.errors import CaptureError
-from koala3d.capture.trajectory import CameraSettings
+from koala3d.capture.drivers.cameras.basler import Basler
+from koala3d.capture.drivers.errors import CaptureError
+from koala3d.capture.model.device import Device
+from koala3d.capture.model.trajectory import CameraSettings
 
 pytestmark = pytest.mark.hardware
 SETTINGS = CameraSettings(width=640, height=480, exposure_us=5000, gain_db=0)
@@ -29,7 +30,7 @@ def serial():
 def test_pictures_come_with_their_settings_and_their_time(serial, name):
     settings = SETTINGS.model_copy(update={"pixel_format": name})
     try:
-        camera = Basler(settings, serial=serial).__enter__()
+        camera = Basler(settings, Device(serial=serial)).__enter__()
     except CaptureError as error:
         if "does not send" in str(error):
             pytest.skip(str(error))
@@ -45,7 +46,7 @@ def test_pictures_come_with_their_settings_and_their_time(serial, name):
 
 
 def test_a_picture_takes_little_more_than_its_exposure(serial):
-    with Basler(SETTINGS, serial=serial) as camera:
+    with Basler(SETTINGS, Device(serial=serial)) as camera:
         camera.grab()
         begun = time.monotonic()
         for _ in range(10):
@@ -56,6 +57,6 @@ def test_a_picture_takes_little_more_than_its_exposure(serial):
 def test_longer_exposures_are_brighter(serial):
     means = []
     for exposure_us in (500, 8000):
-        with Basler(SETTINGS.model_copy(update={"exposure_us": exposure_us}), serial=serial) as camera:
+        with Basler(SETTINGS.model_copy(update={"exposure_us": exposure_us}), Device(serial=serial)) as camera:
             means.append(camera.grab().pixels.mean())
     assert means[1] > means[0]  # take the cap off

@@ -9,9 +9,10 @@ import os
 
 import pytest
 
+from koala3d.capture.model.trajectory import load_trajectory
+from koala3d.capture.rig.cameras import camera_for
 from koala3d.capture.rig.contract import CONTRACT, Subject
-from koala3d.capture.rig.opening import camera_for, describe, is_simulated
-from koala3d.capture.trajectory import load_trajectory
+from koala3d.capture.rig.naming import describe, is_simulated
 
 pytestmark = pytest.mark.hardware
 

@@ -9,8 +9,8 @@ import threading
 import numpy as np
 import pytest
 
-from koala3d.capture.errors import MotionError, SafetyError
-from koala3d.capture.robots.ur import UniversalRobot
+from koala3d.capture.drivers.errors import MotionError, SafetyError
+from koala3d.capture.drivers.ur.robot import UniversalRobot
 
 pytestmark = pytest.mark.hardware
 STEP = np.radians(2.0)

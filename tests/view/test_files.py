@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
+from koala3d.capture.model.rig import RigDescription
+from koala3d.capture.model.trajectory import load_trajectory
 from koala3d.capture.page import report as recording_report
 from koala3d.capture.planning import Obstacles, draw, plan
-from koala3d.capture.rig.description import RigDescription
-from koala3d.capture.trajectory import load_trajectory
 from koala3d.datasets.calibration import Calibration
 from koala3d.datasets.formats import koala
 from koala3d.datasets.reports import scene as scene_report
@@ -92,7 +92,7 @@ def test_a_plan_turns_steps_and_plays(tmp_path: Path, browse: Browse) -> None:
     views = (
         "views=[{kind: orbit, target: [0.4, 0.0, 0.14], distance: 0.4, elevation_deg: 50, count: 2, roll_deg: [0, 90, 180, 270]}]"
     )
-    session, mount = load_trajectory("koala_demo", overrides=[views, "split=null"]), RigDescription().flange_from_camera.matrix()
+    session, mount = load_trajectory("koala_demo", overrides=[views, "split=null"]), RigDescription().carrier()
     draw.page(plan(session, mount), Obstacles.of(session, mount), tmp_path / "plan.html", title="two views")
     with browse((tmp_path / "plan.html").as_uri()) as window:
         page = window.page

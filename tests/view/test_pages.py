@@ -90,10 +90,10 @@ safety: {workspace: {centre: [0.45, 0, 0.4], size: [1.0, 1.2, 0.8]}}
 
 
 def test_a_trajectory_shows_the_moving_arm_and_blocked_views(tmp_path: Path, browse: Browse) -> None:
+    from koala3d.capture.model.rig import RigDescription
+    from koala3d.capture.model.trajectory import load_trajectory
     from koala3d.capture.page.session import SAFETY, CaptureView
     from koala3d.capture.page.timeline import of_trajectory
-    from koala3d.capture.rig.description import RigDescription
-    from koala3d.capture.trajectory import load_trajectory
 
     (tmp_path / "t.yaml").write_text(TRAJECTORY)
     trajectory, mount = load_trajectory(tmp_path / "t.yaml"), RigDescription().carrier()

@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from koala3d.capture.arms.model import load_arm
+from koala3d.capture.model.arm import load_arm
 from koala3d.capture.sim.controller import primary, side_channel
-from koala3d.capture.sim.controller.arm import Arm
+from koala3d.capture.sim.controller.arm import SimulatedArm
 from koala3d.capture.sim.controller.installation import Installation
 from koala3d.capture.sim.controller.server import DASHBOARD_PORT, RTDE_PORT, SCRIPT_PORT, ControllerServer
 from koala3d.capture.sim.controller.session import CYCLE_HZ
@@ -56,7 +56,7 @@ async def _run(options: dict[str, Any]) -> None:
     if length_m or angle_rad:
         links = links.calibrated(np.random.default_rng([int(options["links_seed"]), 1]), length_m, angle_rad)
     deviations = options["repeatability_m"], options["repeatability_rad"]
-    arm = Arm(seed, np.array(options["home"]), *deviations, links, options["noise_rad"], model)
+    arm = SimulatedArm(seed, np.array(options["home"]), *deviations, links, options["noise_rad"], model)
     server = ControllerServer(arm, options["time_scale"], Installation(up=tuple(options["up"])))
     host, side_port = await _listen(server, options["host"])
     loop = asyncio.get_running_loop()

@@ -10,9 +10,9 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.capture.arms.model import DEFAULT, ArmModel, load_arm
-from koala3d.capture.kinematics import Links, forward
-from koala3d.capture.sim.controller.profiles import Chain, Joints, Move, Profile, Stop
+from koala3d.capture.model.arm import DEFAULT, ArmModel, load_arm
+from koala3d.capture.model.kinematics import Links, forward
+from koala3d.capture.sim.controller.profiles import Braking, Chain, Joints, Move, Profile
 from koala3d.capture.sim.controller.tempo import Tempo
 from koala3d.datasets import pose
 
@@ -45,7 +45,7 @@ class Safety(IntEnum):
     ROBOT_EMERGENCY_STOP = 7
 
 
-class Arm:
+class SimulatedArm:
     """One arm with errors of its own.
 
     Args:
@@ -74,7 +74,7 @@ class Arm:
         self.deviation = repeatability_m, repeatability_rad
         self.flange_from_tcp = np.eye(4)
         self.mode, self.safety = RobotMode.RUNNING, Safety.NORMAL
-        self.profile: Profile = Stop(np.asarray(home, np.float64), np.zeros(len(home)), 1.0)
+        self.profile: Profile = Braking(np.asarray(home, np.float64), np.zeros(len(home)), 1.0)
         self.speed_fraction = 1.0
         self.joint_limits = np.stack([self.model.lower, self.model.upper])
         self.reach_m = np.inf
@@ -163,7 +163,7 @@ class Arm:
 
     @property
     def _full_rate(self) -> float:
-        return 1.0 if isinstance(self.profile, Stop) else self.speed_fraction
+        return 1.0 if isinstance(self.profile, Braking) else self.speed_fraction
 
     def set_speed_slider(self, fraction: float, now: float) -> None:
         """Set the speed slider to a fraction 0..1 of the commanded speed; it applies to a motion under way."""
@@ -173,7 +173,7 @@ class Arm:
 
     def pause(self, now: float) -> None:
         """Slow down to rest on the path of a motion, which `resume` continues; does nothing to an arm that is stopping."""
-        if self.moving(now) and not isinstance(self.profile, Stop):
+        if self.moving(now) and not isinstance(self.profile, Braking):
             self._tempo = Tempo(self.phase(now), now, self._tempo.rate(now), 0.0, PAUSE_S)
 
     def resume(self, now: float) -> None:
@@ -198,7 +198,7 @@ class Arm:
             return
         angles, speeds, _ = self.target(now)
         acceleration = max(acceleration, 1e-3)
-        stop = Stop(angles, speeds, acceleration)
+        stop = Braking(angles, speeds, acceleration)
         move = Move(stop.at(np.inf)[0], goal, min(max(speed, 1e-3), float(self.model.speed.min())), acceleration)
         self.begin(Chain(stop, move) if self.moving(now) else move, now)
 
@@ -206,7 +206,7 @@ class Arm:
         """Slow down to rest and forget the motion; does nothing to an arm at rest."""
         if self._unfinished(now):
             angles, speeds, _ = self.target(now)
-            self.begin(Stop(angles, speeds, max(deceleration, 0.1)), now)
+            self.begin(Braking(angles, speeds, max(deceleration, 0.1)), now)
 
     def stop_for_safety(self, safety: Safety, now: float) -> None:
         """Protective or emergency stop: slow down as fast as possible; an emergency stop also cuts the power."""

@@ -1,16 +1,12 @@
 """The dashboard server's protocol: one line in, one line out."""
 
-from typing import TYPE_CHECKING
-
-from koala3d.capture.sim.controller.arm import Arm, RobotMode, Safety
-
-if TYPE_CHECKING:
-    from koala3d.capture.sim.controller.server import ControllerServer
+from koala3d.capture.sim.controller.arm import RobotMode, Safety, SimulatedArm
+from koala3d.capture.sim.controller.state import Controller
 
 GREETING = "Connected: Universal Robots Dashboard Server"
 
 
-def reply(controller: "ControllerServer", line: str) -> str:
+def reply(controller: Controller, line: str) -> str:
     """Answer to one command."""
     arm, word = controller.arm, line.strip().lower()
     running = controller.program_running
@@ -42,7 +38,7 @@ def reply(controller: "ControllerServer", line: str) -> str:
     return _act(arm, word)
 
 
-def _act(arm: Arm, word: str) -> str:
+def _act(arm: SimulatedArm, word: str) -> str:
     if word == "unlock protective stop":
         if arm.safety is Safety.PROTECTIVE_STOP:
             arm.safety = Safety.NORMAL

@@ -5,17 +5,15 @@ Each is computed at most once, and only where a connection's recipe contains it:
 
 from collections.abc import Callable
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from koala3d.capture.kinematics import forward, link_frames
-from koala3d.capture.robots.rtde import wire
+from koala3d.capture.drivers.ur.rtde import wire
+from koala3d.capture.model.kinematics import forward, link_frames
 from koala3d.capture.sim.controller.arm import RobotMode, Safety
 from koala3d.capture.sim.controller.profiles import Joints
-
-if TYPE_CHECKING:
-    from koala3d.capture.sim.controller.server import ControllerServer
+from koala3d.capture.sim.controller.state import Controller
 
 STOPPED_STATE, RUNNING_STATE, PAUSED_STATE = 1, 2, 4
 SAFETY_BITS = {
@@ -32,7 +30,7 @@ GRAVITY = 9.82  # [m/s^2]
 class Outputs:
     """The variables at the controller's time `now` [s], by name; those that never change are zero."""
 
-    def __init__(self, controller: "ControllerServer", now: float) -> None:
+    def __init__(self, controller: Controller, now: float) -> None:
         self.controller, self.arm, self.now = controller, controller.arm, now
 
     def __getitem__(self, name: str) -> Any:

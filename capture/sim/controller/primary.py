@@ -3,10 +3,11 @@
 import asyncio
 import struct
 
-from koala3d.capture.kinematics import six_from_pose
-from koala3d.capture.robots import primary
-from koala3d.capture.robots.primary import package
+from koala3d.capture.drivers.ur import primary
+from koala3d.capture.drivers.ur.primary import package
+from koala3d.capture.model.kinematics import six_from_pose
 from koala3d.capture.sim.controller.server import ControllerServer, closing
+from koala3d.capture.sim.controller.state import Controller
 
 PORTS = (30001, 30002)
 PERIOD_S = 0.1
@@ -20,25 +21,25 @@ def version_message(version: tuple[int, ...]) -> bytes:
     return package(primary.MESSAGE, content)
 
 
-def state_message(server: ControllerServer) -> bytes:
+def state_message(controller: Controller) -> bytes:
     """Tool pose and offset, the calibrated links, and the checksum of the safety settings."""
-    arm, links = server.arm, server.arm.links if server.installed.calibrated else server.arm.model.links
-    pose = [*server.tcp_pose(arm.actual(server.now)[0]), *six_from_pose(arm.flange_from_tcp)]
+    arm, links = controller.arm, controller.arm.links if controller.installed.calibrated else controller.arm.model.links
+    pose = [*controller.tcp_pose(arm.actual(controller.now)[0]), *six_from_pose(arm.flange_from_tcp)]
     numbers = [float(one) for part in (links.theta, links.a, links.d, links.alpha) for one in part]
     parts = (
         package(primary.CARTESIAN, primary.CARTESIAN_FIELDS.pack(*pose)),
         package(primary.KINEMATICS, primary.KINEMATICS_FIELDS.pack(*[0] * 6, *numbers, 0)),
-        package(primary.SAFETY, bytes.fromhex(server.installed.checksum)),
+        package(primary.SAFETY, bytes.fromhex(controller.installed.checksum)),
     )
     return package(primary.STATE, b"".join(parts))
 
 
 async def serve(server: ControllerServer, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
     """Serve one connection until the client leaves: it hears the state, and may send programs as to the script port."""
-    if not server.installed.primary:
+    if not server.controller.installed.primary:
         writer.close()
         return
-    writer.write(version_message(server.installed.version))
+    writer.write(version_message(server.controller.installed.version))
     telling = asyncio.create_task(_tell(server, writer))
     with closing(writer):
         try:
@@ -51,7 +52,7 @@ async def _tell(server: ControllerServer, writer: asyncio.StreamWriter) -> None:
     """Send the state over and over."""
     with closing(writer):
         while not writer.is_closing():
-            if not server.silent:
-                writer.write(state_message(server))
+            if not server.controller.silent:
+                writer.write(state_message(server.controller))
                 await writer.drain()
             await asyncio.sleep(PERIOD_S)

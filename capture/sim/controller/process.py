@@ -16,8 +16,8 @@ from typing import IO, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.capture.arms.model import DEFAULT, load_arm
-from koala3d.capture.errors import SimulationError
+from koala3d.capture.drivers.errors import SimulationError
+from koala3d.capture.model.arm import DEFAULT, load_arm
 from koala3d.capture.sim.controller.handle import ControllerHandle
 from koala3d.datasets.core.errors import UsageError
 

@@ -73,7 +73,7 @@ class Move:
 
 
 @dataclass(frozen=True)
-class Stop:
+class Braking:
     """From `start` moving at `speeds` [rad/s] to rest, the fastest joint slowing down at `deceleration` [rad/s^2]."""
 
     start: Joints

@@ -12,9 +12,9 @@ from collections.abc import Callable, Generator
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.capture import kinematics
-from koala3d.capture.kinematics import Joints, pose_from_six, six_from_pose
-from koala3d.capture.sim.controller.arm import Arm, Safety
+from koala3d.capture.model import kinematics
+from koala3d.capture.model.kinematics import Joints, pose_from_six, six_from_pose
+from koala3d.capture.sim.controller.arm import Safety, SimulatedArm
 from koala3d.datasets import pose
 
 log = logging.getLogger(__name__)
@@ -72,7 +72,7 @@ class ControlProgram:
     `report` receives the reason where the program ends by an error.
     """
 
-    def __init__(self, arm: Arm, text: str, report: Callable[[str], None] = log.warning) -> None:
+    def __init__(self, arm: SimulatedArm, text: str, report: Callable[[str], None] = log.warning) -> None:
         self.arm, self._report = arm, report
         offset = _OFFSET.search(text)
         self.offset = 24 if offset and offset[1] == "24" else 0

@@ -1,6 +1,6 @@
 """The simulated controller as a server: RTDE, script and dashboard ports on one loopback address.
 
-One asyncio loop owns everything. Controller time runs `time_scale` times as fast as the clock on the wall.
+One asyncio loop owns everything.
 """
 
 import asyncio
@@ -10,82 +10,26 @@ import struct
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
 
-import numpy as np
-
-from koala3d.capture.kinematics import six_from_pose
-from koala3d.capture.robots.rtde import wire
+from koala3d.capture.drivers.ur.rtde import wire
 from koala3d.capture.sim.controller import dashboard, script
-from koala3d.capture.sim.controller.arm import Arm
+from koala3d.capture.sim.controller.arm import SimulatedArm
 from koala3d.capture.sim.controller.installation import Installation
 from koala3d.capture.sim.controller.outputs import Outputs
 from koala3d.capture.sim.controller.session import Session
+from koala3d.capture.sim.controller.state import Controller
 
 RTDE_PORT, SCRIPT_PORT, DASHBOARD_PORT = 30004, 30003, 29999
-SIMULATED_INPUTS = ("standard_digital_output", "standard_digital_output_mask", "speed_slider_fraction", "speed_slider_mask")
-"""Besides registers. Writing any other one ends the program."""
 log = logging.getLogger(__name__)
 
 
 class ControllerServer:
-    """Everything behind the three ports. Its faults are triggered through `side_channel`."""
+    """The ports of a controller, and the connections to them. Faults are triggered through `side_channel`."""
 
-    def __init__(self, arm: Arm, time_scale: float, installed: Installation | None = None) -> None:
-        self.arm, self.time_scale, self.installed = arm, time_scale, installed or Installation()
-        self.up, self.links = self.installed.up, arm.links  # as it was started
-        self._latency = random.Random(arm.seed)
-        self.program: script.ControlProgram | None = None
+    def __init__(self, arm: SimulatedArm, time_scale: float, installed: Installation) -> None:
+        self.controller = Controller(arm, time_scale, installed, self.report)
         self.sessions: list[Session] = []
-        self.digital_outputs = 0
-        self.silent_until, self.hung_until, self._held_until = 0.0, 0.0, 0.0
-        self.deaf, self.unstoppable = False, False
-        self._input_written_s = 0.0
-        self._start = time.monotonic()
-        self._poses: dict[bytes, np.ndarray] = {}
-
-    @property
-    def now(self) -> float:
-        """Controller time [s]."""
-        return 100.0 + (time.monotonic() - self._start) * self.time_scale
-
-    @property
-    def program_running(self) -> bool:
-        """Whether a program runs and is not paused."""
-        own = self.program is not None and self.program.running and not self.program.paused
-        return own or self.installed.program == "PLAYING"
-
-    @property
-    def program_paused(self) -> bool:
-        """Whether a program is paused."""
-        return (self.program is not None and self.program.paused) or self.installed.program == "PAUSED"
-
-    @property
-    def silent(self) -> bool:
-        """Whether the data stream is frozen by a fault."""
-        return time.monotonic() < max(self.silent_until, self.hung_until)
-
-    def stop_program(self) -> None:
-        """End the program; the arm slows down."""
-        self.installed.program = ""
-        if self.program is not None:
-            self.program.end(self.now)
-
-    def pause_program(self) -> bool:
-        """Pause the program; False where none ran. The arm comes to rest on its path."""
-        if self.program is None or not self.program_running:
-            return False
-        self.program.paused = True
-        self.arm.pause(self.now)
-        return True
-
-    def play_program(self) -> bool:
-        """Resume the program and the motion; False where none was paused."""
-        if self.program is None or not self.program_paused:
-            return False
-        self.program.paused = False
-        self.arm.resume(self.now)
-        return True
+        self._latency, self._held_until = random.Random(arm.seed), 0.0
 
     def report(self, message: str) -> None:
         """Log an error and send it to every client."""
@@ -93,72 +37,24 @@ class ControllerServer:
         for session in list(self.sessions):
             session.send(wire.text_message(message, session.version))
 
-    def upload(self, text: str) -> str:
-        """Start a program, as the script port does with every one that it receives; why it is refused, or nothing."""
-        if (deceleration := script.stop_of(text)) is not None:
-            if not self.unstoppable:
-                self.stop_program()
-                self.arm.stop(deceleration, self.now)
-            return ""
-        if refused := script.refusal(text):
-            return refused
-        if self.arm.may_move:
-            self.installed.program = ""
-            previous, self.program = self.program, script.ControlProgram(self.arm, text, self.report)
-            if previous is not None:
-                self.program.input_ints, self.program.input_doubles = previous.input_ints, previous.input_doubles
-            self.arm.stop(3.0, self.now)
-            self._input_written_s = time.monotonic()
-            self.program.cycle(self.now)
-        return ""
-
-    def write_inputs(self, values: dict[str, Any]) -> None:
-        """Registers and outputs that a client sets; the program sees them at once."""
-        program = self.program
-        for name, value in values.items():
-            register = wire.register_of(name)
-            if register is not None and program is not None:
-                kind, number = register
-                (program.input_ints if kind == "int" else program.input_doubles)[number] = value
-                if program.offset == number and kind == "int":
-                    self._input_written_s = time.monotonic()
-            elif register is None and name not in SIMULATED_INPUTS and self.program_running and program is not None:
-                program.fail(f"input {name} is not simulated")
-        if values.get("speed_slider_mask"):  # without its bit the fraction is not used
-            self.arm.set_speed_slider(values["speed_slider_fraction"], self.now)
-        if "standard_digital_output" in values:
-            mask = values.get("standard_digital_output_mask", 0)
-            self.digital_outputs = (self.digital_outputs & ~mask) | (values["standard_digital_output"] & mask)
-        if program is not None and not self.deaf:
-            program.cycle(self.now)
-
     def step(self) -> None:
-        """One cycle: program, safety, watchdog, data to every connection."""
-        program, now = self.program, self.now
-        self.arm.check_limits(now)
-        if program is not None and program.running:
-            late = time.monotonic() - self._input_written_s
-            if not self.arm.may_move or (program.watchdog_s is not None and late > program.watchdog_s):
-                program.end(now)
-            elif not self.deaf:
-                program.cycle(now)
-        if not self.silent and time.monotonic() >= self._held_until:
-            if self.installed.latency_s:
-                self._held_until = time.monotonic() + self._latency.uniform(0.5, 1.0) * self.installed.latency_s
-            wall, outputs = time.monotonic(), Outputs(self, now)
+        """One cycle of the controller, then data to every connection."""
+        self.controller.step()
+        if not self.controller.silent and time.monotonic() >= self._held_until:
+            if latency_s := self.controller.installed.latency_s:
+                self._held_until = time.monotonic() + self._latency.uniform(0.5, 1.0) * latency_s
+            wall, outputs = time.monotonic(), Outputs(self.controller, self.controller.now)
             for session in list(self.sessions):
                 session.send_sample(outputs, wall)
 
-    def tcp_pose(self, joints: np.ndarray) -> np.ndarray:
-        """(6,) position [m] and rotation vector [rad]; cached for an arm at rest."""
-        key = joints.tobytes() + self.arm.flange_from_tcp.tobytes()
-        if key not in self._poses:
-            self._poses = {key: six_from_pose(self.arm.base_from_tcp(joints))}
-        return self._poses[key]
+    def drop(self) -> None:
+        """Cut every RTDE connection."""
+        for session in list(self.sessions):
+            session.writer.transport.abort()
 
     async def serve_rtde(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Serve one RTDE connection."""
-        session = Session(self, writer)
+        session = Session(self.controller, self.sessions, writer)
         self.sessions.append(session)
         buffer = bytearray()
         with closing(writer):
@@ -185,7 +81,7 @@ class ControllerServer:
             await self._answering()
             text += chunk
             if script.is_whole(text):
-                refused = self.upload(text.decode("latin-1"))
+                refused = self.controller.upload(text.decode("latin-1"))
                 text.clear()
             else:
                 refused = script.refusal_of_part(text, ended=not chunk)
@@ -198,7 +94,7 @@ class ControllerServer:
         """Serve one connection of the dashboard; no more is read from a client that does not read the answers."""
         with closing(writer):
             await self._answering()
-            if not self.installed.dashboard:
+            if not self.controller.installed.dashboard:
                 return
             writer.write(f"{dashboard.GREETING}\n".encode())
             while line := await reader.readline():
@@ -206,12 +102,12 @@ class ControllerServer:
                 if line.strip().lower() == b"quit":
                     writer.write(b"Disconnected\n")
                     return
-                writer.write(f"{dashboard.reply(self, line.decode('latin-1'))}\n".encode())
+                writer.write(f"{dashboard.reply(self.controller, line.decode('latin-1'))}\n".encode())
                 await writer.drain()
 
     async def _answering(self) -> None:
         """Return once the controller answers: a hung one accepts connections and then sends nothing."""
-        while time.monotonic() < self.hung_until:
+        while self.controller.hung:
             await asyncio.sleep(0.02)
 
 

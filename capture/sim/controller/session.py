@@ -2,24 +2,25 @@
 
 import asyncio
 import struct
-from typing import TYPE_CHECKING
 
-from koala3d.capture.robots.rtde import wire
-from koala3d.capture.robots.rtde.wire import Recipe, packet
-
-if TYPE_CHECKING:
-    from koala3d.capture.sim.controller.outputs import Outputs
-    from koala3d.capture.sim.controller.server import ControllerServer
+from koala3d.capture.drivers.ur.rtde import wire
+from koala3d.capture.drivers.ur.rtde.wire import Recipe, packet
+from koala3d.capture.sim.controller.outputs import Outputs
+from koala3d.capture.sim.controller.state import Controller
 
 CYCLE_HZ = 500
 MAX_UNREAD = 1 << 20  # a client that leaves this many bytes unread is cut off
 
 
 class Session:
-    """One RTDE connection: its protocol version, its recipes and when its next sample is due."""
+    """One RTDE connection: its protocol version, its recipes and when its next sample is due.
 
-    def __init__(self, server: "ControllerServer", writer: asyncio.StreamWriter) -> None:
-        self.server, self.writer = server, writer
+    Args:
+        sessions: all of the controller; an input register belongs to one of them.
+    """
+
+    def __init__(self, controller: Controller, sessions: "list[Session]", writer: asyncio.StreamWriter) -> None:
+        self.controller, self.sessions, self.writer = controller, sessions, writer
         self.version = 1  # until a client asks for another one
         self.inputs: dict[int, Recipe] = {}
         self.output: Recipe | None = None
@@ -36,7 +37,7 @@ class Session:
             self.version = version if accepted else self.version
             return packet(kind, bytes([accepted]))
         if kind == wire.CONTROLLER_VERSION:
-            return packet(kind, struct.pack(">4I", *self.server.installed.version))
+            return packet(kind, struct.pack(">4I", *self.controller.installed.version))
         if kind == wire.OUTPUTS:
             frequency, names = (struct.unpack_from(">d", payload)[0], payload[8:]) if self.version > 1 else (CYCLE_HZ, payload)
             self.output, self.streaming = Recipe(_names(names)), False
@@ -56,14 +57,14 @@ class Session:
         """Of the output recipe, as it travels; version 1 has one recipe and no numbers."""
         return b"\x01" if self.version > 1 else b""
 
-    def send_sample(self, outputs: "Outputs", wall_s: float) -> None:
+    def send_sample(self, outputs: Outputs, wall_s: float) -> None:
         """Send the variables of the recipe where they are due."""
         if self.streaming and self.output is not None and wall_s >= self.due_s:
             self.due_s = max(self.due_s + self.period_s, wall_s)
             self.send(packet(wire.DATA, self._number + self.output.pack([outputs[name] for name in self.output.names])))
 
     def _register_inputs(self, recipe: Recipe) -> bytes:
-        if any(not session.registers.isdisjoint(recipe.names) for session in self.server.sessions if session is not self):
+        if any(not session.registers.isdisjoint(recipe.names) for session in self.sessions if session is not self):
             return b"\x00" + b",".join(b"IN_USE" for _ in recipe.names)
         if not recipe.complete:
             return b"\x00" + ",".join(recipe.types).encode()
@@ -80,7 +81,7 @@ class Session:
             values = recipe.unpack(payload[1:])
         except ValueError:
             return  # as the controller does with a packet of the wrong size
-        self.server.write_inputs(values)
+        self.controller.write_inputs(values)
 
     def send(self, data: bytes) -> None:
         """Queue bytes, or cut the connection where they are not read."""

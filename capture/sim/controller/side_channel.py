@@ -11,11 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from koala3d.capture.arms.model import load_arm
-from koala3d.capture.kinematics import JOINT_LIMIT, pose_from_six
+from koala3d.capture.model.arm import load_arm
+from koala3d.capture.model.kinematics import JOINT_LIMIT, pose_from_six
 from koala3d.capture.sim.controller.arm import RobotMode, Safety
 from koala3d.capture.sim.controller.installation import Installation
 from koala3d.capture.sim.controller.server import ControllerServer, closing
+from koala3d.capture.sim.controller.state import Controller
+
+DROP = "drop"  # cuts every RTDE connection
 
 
 async def serve(server: ControllerServer, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -30,14 +33,17 @@ def reply(server: ControllerServer, line: bytes) -> dict[str, Any]:
     """Answer to one request; {"error": ...} where it is invalid."""
     try:
         request = json.loads(line)
-        return ACTIONS[request.pop("do")](server, **request) or {"ok": True}
+        if (do := request.pop("do")) == DROP:
+            server.drop()
+            return {"ok": True}
+        return ACTIONS[do](server.controller, **request) or {"ok": True}
     except (ValueError, KeyError, TypeError) as error:
-        return {"error": f"{type(error).__name__}: {error}; actions: {', '.join(ACTIONS)}"}
+        return {"error": f"{type(error).__name__}: {error}; actions: {', '.join((*ACTIONS, DROP))}"}
 
 
-def _truth(server: ControllerServer, exposure_s: float = 0.0, count: int = 0) -> dict[str, Any]:
+def _truth(controller: Controller, exposure_s: float = 0.0, count: int = 0) -> dict[str, Any]:
     """Where the flange really is [m], now and in the middle of `count` equal parts of an exposure that begins now."""
-    arm, now = server.arm, server.now
+    arm, now = controller.arm, controller.now
     joints, speeds = arm.actual(now)
     moments = now + (np.arange(count) + 0.5) / max(count, 1) * exposure_s
     return {
@@ -49,46 +55,40 @@ def _truth(server: ControllerServer, exposure_s: float = 0.0, count: int = 0) ->
         "robot_time_s": now,
         "motion_s": arm.profile.duration,
         "phase_s": arm.phase(now),
-        "time_scale": server.time_scale,
+        "time_scale": controller.time_scale,
         "safety": arm.safety.name,
         "mode": arm.mode.name,
-        "program_running": server.program_running,
+        "program_running": controller.program_running,
     }
 
 
-def _motions(server: ControllerServer, settle_spread: float = 5e-5) -> dict[str, Any]:
+def _motions(controller: Controller, settle_spread: float = 5e-5) -> dict[str, Any]:
     """The latest motions: start on the controller's clock, duration, and until when after it joints vary by more [s, rad]."""
-    arm = server.arm
+    arm = controller.arm
     return {"motions": [[start, profile.duration, arm.swings_for(profile, settle_spread)] for start, profile in arm.motions]}
 
 
-def _drop(server: ControllerServer) -> None:
-    """Cut every RTDE connection."""
-    for session in list(server.sessions):
-        session.writer.transport.abort()
-
-
-def _silent(server: ControllerServer, seconds: float) -> None:
+def _silent(controller: Controller, seconds: float) -> None:
     """Send no data for some real time; the connections stay open, the dashboard answers."""
-    server.silent_until = time.monotonic() + seconds
+    controller.silent_until = time.monotonic() + seconds
 
 
-def _hang(server: ControllerServer, seconds: float) -> None:
+def _hang(controller: Controller, seconds: float) -> None:
     """Accept connections but answer on no port for some real time; 0 ends it."""
-    server.hung_until = time.monotonic() + seconds
+    controller.hung_until = time.monotonic() + seconds
 
 
-def _ignore_commands(server: ControllerServer, ignore: bool = True) -> None:
+def _ignore_commands(controller: Controller, ignore: bool = True) -> None:
     """Stop acknowledging commands, or resume."""
-    server.deaf = ignore
+    controller.deaf = ignore
 
 
-def _refuse_stop(server: ControllerServer, refuse: bool = True) -> None:
+def _refuse_stop(controller: Controller, refuse: bool = True) -> None:
     """Answer the dashboard's order to stop with a failure, or obey it again."""
-    server.unstoppable = refuse
+    controller.unstoppable = refuse
 
 
-def _install(server: ControllerServer, model: str = "", tcp: list[float] | None = None, **settings: Any) -> None:
+def _install(controller: Controller, model: str = "", tcp: list[float] | None = None, **settings: Any) -> None:
     """Set what a person sets at the pendant, by the names of `Installation`; without arguments, as it was at the start.
 
     `model`: another arm stands there, with nominal links; `tcp`: (6,) position [m] and rotation vector [rad] of the tool.
@@ -96,38 +96,37 @@ def _install(server: ControllerServer, model: str = "", tcp: list[float] | None 
     unknown = settings.keys() - vars(Installation()).keys()
     if unknown:
         raise ValueError(f"no setting {', '.join(sorted(unknown))}")
-    server.installed = Installation(**{"up": server.up, **settings})
-    server.arm.links = load_arm(model).links if model else server.links
-    server.arm.flange_from_tcp = pose_from_six(tcp or np.zeros(6))
+    controller.installed = Installation(**{"up": controller.up, **settings})
+    controller.arm.links = load_arm(model).links if model else controller.links
+    controller.arm.flange_from_tcp = pose_from_six(tcp or np.zeros(6))
 
 
-def _safety(server: ControllerServer, mode: str = "NORMAL", power: str = "RUNNING") -> None:
+def _safety(controller: Controller, mode: str = "NORMAL", power: str = "RUNNING") -> None:
     """Put the controller into a safety mode and a robot mode, by name."""
-    server.arm.safety, server.arm.mode = Safety[mode], RobotMode[power]
+    controller.arm.safety, controller.arm.mode = Safety[mode], RobotMode[power]
 
 
-def _joint_limit(server: ControllerServer, joint: int = 1, lower_deg: float = -360.0, upper_deg: float = 360.0) -> None:
+def _joint_limit(controller: Controller, joint: int = 1, lower_deg: float = -360.0, upper_deg: float = 360.0) -> None:
     """Narrow the range of a joint (1 to 6), as safety settings do; leaving it causes a protective stop."""
-    server.arm.joint_limits[:, joint - 1] = np.clip(np.radians([lower_deg, upper_deg]), -JOINT_LIMIT, JOINT_LIMIT)
+    controller.arm.joint_limits[:, joint - 1] = np.clip(np.radians([lower_deg, upper_deg]), -JOINT_LIMIT, JOINT_LIMIT)
 
 
-def _reach(server: ControllerServer, metres: float = np.inf) -> None:
+def _reach(controller: Controller, metres: float = np.inf) -> None:
     """Refuse targets of the flange beyond this distance from the base: the program ends."""
-    server.arm.reach_m = metres
+    controller.arm.reach_m = metres
 
 
-def _speed_slider(server: ControllerServer, fraction: float) -> None:
+def _speed_slider(controller: Controller, fraction: float) -> None:
     """Set the pendant's slider to a fraction of full speed, 0.01 to 1."""
-    server.arm.set_speed_slider(fraction, server.now)
+    controller.arm.set_speed_slider(fraction, controller.now)
 
 
 ACTIONS: dict[str, Callable[..., dict[str, Any] | None]] = {
     "truth": _truth,
     "motions": _motions,
-    "protective_stop": lambda server: server.arm.stop_for_safety(Safety.PROTECTIVE_STOP, server.now),
-    "emergency_stop": lambda server: server.arm.stop_for_safety(Safety.ROBOT_EMERGENCY_STOP, server.now),
-    "stop_program": ControllerServer.stop_program,
-    "drop": _drop,
+    "protective_stop": lambda controller: controller.arm.stop_for_safety(Safety.PROTECTIVE_STOP, controller.now),
+    "emergency_stop": lambda controller: controller.arm.stop_for_safety(Safety.ROBOT_EMERGENCY_STOP, controller.now),
+    "stop_program": Controller.stop_program,
     "silent": _silent,
     "hang": _hang,
     "ignore_commands": _ignore_commands,

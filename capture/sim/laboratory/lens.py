@@ -13,7 +13,7 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.capture.sim.laboratory.flaws import SensorMaps
+from koala3d.capture.model.flaws import SensorMaps
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.imaging.images import srgb_from_linear, to_uint8
 

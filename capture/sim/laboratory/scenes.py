@@ -9,7 +9,7 @@ import numpy as np
 import trimesh
 from numpy.typing import ArrayLike, NDArray
 
-from koala3d.capture.errors import SimulationError
+from koala3d.capture.drivers.errors import SimulationError
 from koala3d.capture.sim.laboratory import objects, textures
 from koala3d.capture.sim.laboratory.materials import Glass, Material, Matt, Metal
 from koala3d.datasets.core.errors import UsageError, nearest
@@ -23,7 +23,6 @@ SCENES = {
     "grey_card": "an evenly lit grey card that fills the picture",
     "lens_cap": "darkness",
 }
-OLD_NAMES = {"charuco_board": "board"}  # in rig files and scripts of earlier versions
 CARDS = {"grey_card": 0.9, "lens_cap": 0.0}  # light that comes from all of the picture; 1.5 fills a pixel in 10 ms
 TABLE_SIZE = 1.8
 STILL = frozenset({"table"})
@@ -62,8 +61,7 @@ class Stage:
 
 
 def check_name(name: str) -> str:
-    """Return the present name of a scene; raise UsageError with the nearest one where there is no such scene."""
-    name = OLD_NAMES.get(name, name)
+    """Return the name of a scene; raise UsageError with the nearest one if there is no such scene."""
     if name not in SCENES:
         raise UsageError(f"unknown scene '{name}'", remedy=nearest(name, SCENES))
     return name

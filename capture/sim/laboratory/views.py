@@ -3,19 +3,20 @@
 Both are described in the frame of the table; `InBase` converts them to the base frame of the robot.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.capture.errors import SimulationError
+from koala3d.capture.drivers.errors import SimulationError
+from koala3d.capture.model.trajectory import Trajectory
 from koala3d.capture.sim.laboratory.board import BoardPicture
 from koala3d.capture.sim.laboratory.lens import Lens, strips
 from koala3d.capture.sim.laboratory.scenes import CARDS, Stage, check_name, stage
-from koala3d.capture.trajectory import Trajectory
 from koala3d.datasets import pose
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core.errors import UsageError
@@ -30,25 +31,26 @@ RAYS_AT_ONCE = 4_000_000
 TRIAL = "koala3d.capture.sim.laboratory.renderer_trial"
 
 
-class View(Protocol):
-    """What the lens sees, described in one frame, `world`."""
+class View(ABC):
+    """What the lens sees, described in one frame, `world`. A picture that fills the lens has neither maps, object nor room."""
 
+    @abstractmethod
     def radiance(self, lens: Lens, world_from_camera: NDArray[np.float64], seed: int, /) -> NDArray[np.float32]:
         """(height, width, 3) linear light on the pixels of the lens's camera, its mean over (n, 4, 4) poses of an exposure."""
-        ...
 
     def truth(self, lens: Lens, world_from_camera: NDArray[np.float64], seed: int, /) -> Maps:
         """The true maps of the newest picture, see `SimulatedCamera.save_truth`."""
-        ...
+        return {}
 
+    @abstractmethod
     def depth(self, camera: Camera, world_from_camera: NDArray[np.float64], seed: int, /) -> NDArray[np.float32]:
         """(height, width) depth along z of the first surface at each pixel of a pinhole [m]; 0 where there is none."""
-        ...
 
     def mesh(self) -> Any:
         """The object [m], a trimesh; None without an object."""
+        return None
 
-    def place_room(self, world_from_room: NDArray[np.float64], /) -> None:
+    def place_room(self, world_from_room: NDArray[np.float64], /) -> None:  # noqa: B027
         """Move what does not turn with the object, from where it stood at first, by a (4, 4) motion [m]."""
 
 
@@ -97,7 +99,7 @@ class InBase:
 
 
 @dataclass
-class ObjectView:
+class ObjectView(View):
     """An object in the laboratory, rendered."""
 
     stage: Stage
@@ -159,8 +161,8 @@ class ObjectView:
 
 
 @dataclass
-class BoardView:
-    """A calibration target."""
+class BoardView(View):
+    """A calibration target on a plate that fills the picture and turns with it."""
 
     board: BoardPicture
 
@@ -168,25 +170,15 @@ class BoardView:
         """See `View`."""
         return _mean((self.board.radiance(lens, moment) for moment in table_from_camera), len(table_from_camera))
 
-    def truth(self, lens: Lens, table_from_camera: NDArray[np.float64], seed: int) -> Maps:
-        """No maps: the pose of the board is enough."""
-        return {}
-
     def depth(self, camera: Camera, table_from_camera: NDArray[np.float64], seed: int) -> NDArray[np.float32]:
         """See `View`; of the table's plane, on which the board lies."""
         down = (camera.directions(camera.pixel_centres()) @ table_from_camera[:3, :3].T)[..., 2]
         hits = down < -1e-6
         return np.where(hits, table_from_camera[2, 3] / np.where(hits, -down, 1.0), 0).astype(np.float32)
 
-    def mesh(self) -> None:
-        """None: there is no object."""
-
-    def place_room(self, table_from_room: NDArray[np.float64]) -> None:
-        """See `View`: the board lies on a plate that fills the picture and turns with it."""
-
 
 @dataclass
-class CardView:
+class CardView(View):
     """A card that fills the picture, everywhere with the same grey light."""
 
     light: float
@@ -195,19 +187,9 @@ class CardView:
         """See `View`."""
         return np.full((lens.camera.height, lens.camera.width, 3), self.light, np.float32)
 
-    def truth(self, lens: Lens, table_from_camera: NDArray[np.float64], seed: int) -> Maps:
-        """No maps."""
-        return {}
-
     def depth(self, camera: Camera, table_from_camera: NDArray[np.float64], seed: int) -> NDArray[np.float32]:
         """See `View`; none: the card is too near."""
         return np.zeros((camera.height, camera.width), np.float32)
-
-    def mesh(self) -> None:
-        """None: there is no object."""
-
-    def place_room(self, table_from_room: NDArray[np.float64]) -> None:
-        """See `View`: a card that fills the picture has no room around it."""
 
 
 def _mean(pictures: Iterable[NDArray[np.float32]], count: int) -> NDArray[np.float32]:

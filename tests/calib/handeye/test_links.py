@@ -14,7 +14,7 @@ from koala3d.calib.page import summary
 from koala3d.calib.sessions.session import TargetSession
 from koala3d.calib.study.simulate import KOALA, Pattern, viewpoints
 from koala3d.calib.targets.detection import Observation
-from koala3d.capture.arms.model import load_arm
+from koala3d.capture.model.arm import load_arm
 from koala3d.datasets import kinematics, pose
 from koala3d.datasets.calibration import Calibration
 from koala3d.datasets.core.errors import UsageError

@@ -13,7 +13,7 @@ from koala3d.calib.intrinsics import projection
 from koala3d.calib.sessions.session import TargetSession
 from koala3d.calib.study.simulate import KOALA, Pattern, viewpoints
 from koala3d.calib.targets.detection import Observation
-from koala3d.capture.arms.model import ArmModel, load_arm
+from koala3d.capture.model.arm import ArmModel, load_arm
 from koala3d.datasets import kinematics, pose
 from koala3d.datasets.calibration import Calibration, LinkErrors
 from koala3d.datasets.targets.board import Board

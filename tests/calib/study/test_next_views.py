@@ -76,7 +76,7 @@ def test_nowhere_to_go_is_said(solved):
 
 
 def test_trajectory_is_one_that_capture_reads(solved, tmp_path):
-    from koala3d.capture.trajectory import load_trajectory
+    from koala3d.capture.model.trajectory import load_trajectory
 
     _, solution = solved
     found = next_views.plan(solution, 3, grow_m=0.1)

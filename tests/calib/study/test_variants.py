@@ -7,7 +7,7 @@ import pytest
 from koala3d.calib.handeye import refine
 from koala3d.calib.study import bench, variants
 from koala3d.calib.study.simulate import Pattern, simulate
-from koala3d.capture.trajectory import load_trajectory
+from koala3d.capture.model.trajectory import load_trajectory
 from koala3d.datasets import pose
 
 TRAJECTORY = Path(__file__).resolve().parents[3] / "configs" / "trajectories" / "calibration.yaml"

@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from koala3d.capture.cameras.basler import opened
-from koala3d.capture.doctor.examine import examine_arm, examine_camera, refuse_wrong
+from koala3d.capture.doctor.camera import check
+from koala3d.capture.doctor.examine import examine_arm, refuse_wrong
 from koala3d.capture.doctor.lines import Line, Verdict
-from koala3d.capture.errors import NotReady
-from koala3d.capture.rig.description import RigDescription
+from koala3d.capture.drivers.cameras.basler import Basler
+from koala3d.capture.drivers.errors import NotReady
+from koala3d.capture.model.rig import RigDescription
+from koala3d.capture.model.trajectory import CameraSettings
 from koala3d.capture.sim.camera_nodes import FAMILIES, Setting, SimulatedNodes
 from koala3d.capture.sim.controller.process import SimulatedController
 
@@ -98,8 +100,8 @@ def controller() -> Iterator[SimulatedController]:
 
 @pytest.fixture(scope="module")
 def emulation() -> Iterator[tuple[Any, str]]:
-    with opened("", emulated=True) as found:
-        yield found
+    with Basler(CameraSettings(), emulated=True).inspected() as found:
+        yield found.nodes, found.serial
 
 
 def examine(controller: SimulatedController, emulation: Any, faults: list[Fault], folder: Path) -> list[Line]:
@@ -120,7 +122,7 @@ def examine(controller: SimulatedController, emulation: Any, faults: list[Fault]
         lines = examine_arm(controller.host, description, folder=folder, seconds=seconds, longest_gap_s=GAP_S, rate=None, **own)
         without = [name for fault in faults for name in fault.without]
         over = SimulatedNodes(nodes, "ace USB", without=without, changed=together["camera"])
-        return [*lines, *examine_camera(over, serial, description)]
+        return [*lines, *check(over, serial, {}, description.camera, genicam=True)]
     finally:
         controller.ask("install")
         controller.ask("safety")
@@ -173,7 +175,7 @@ def test_polyscope_x_has_no_dashboard_and_needs_none(controller, emulation, tmp_
 def test_every_family_is_brought_to_srgb_by_its_own_name(emulation, family):
     nodes, serial = emulation
     over = SimulatedNodes(nodes, family)
-    assert named(examine_camera(over, serial, RigDescription())) == []
+    assert named(check(over, serial, {}, RigDescription().camera, genicam=True)) == []
     names = {"ace USB": "ColorSpace", "ace 2": "BslColorSpace", "dart": "BslColorSpaceMode", "ace GigE": "GammaSelector"}
     assert over.read(names[family]).lower() == "srgb"
     assert family != "ace GigE" or over.read("GammaEnable") is True

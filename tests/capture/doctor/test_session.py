@@ -10,12 +10,13 @@ import pytest
 from koala3d.capture.cli import main
 from koala3d.capture.doctor.examine import examination, examine
 from koala3d.capture.doctor.lines import Verdict
-from koala3d.capture.errors import NotReady
-from koala3d.capture.rig.description import RigDescription
-from koala3d.capture.rig.opening import describe, write_simulated_rig
-from koala3d.capture.robots.dashboard import Dashboard
-from koala3d.capture.robots.timing import Deadlines
-from koala3d.capture.robots.ur import UniversalRobot
+from koala3d.capture.drivers.errors import NotReady
+from koala3d.capture.drivers.ur.dashboard import Dashboard
+from koala3d.capture.drivers.ur.link import Deadlines
+from koala3d.capture.drivers.ur.robot import UniversalRobot
+from koala3d.capture.model.rig import RigDescription
+from koala3d.capture.rig.controllers import write_simulated_rig
+from koala3d.capture.rig.naming import describe
 from koala3d.capture.sim.controller.process import SimulatedController
 
 SESSION = """\

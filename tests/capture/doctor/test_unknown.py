@@ -9,7 +9,7 @@ import pytest
 
 from koala3d.capture.doctor.examine import examine_arm
 from koala3d.capture.doctor.lines import Line, Verdict
-from koala3d.capture.rig.description import RigDescription
+from koala3d.capture.model.rig import RigDescription
 from koala3d.capture.sim.controller.installation import Installation
 from koala3d.capture.sim.controller.process import SimulatedController
 

@@ -7,20 +7,21 @@ from typing import Any
 import numpy as np
 import pytest
 
+from koala3d.capture.model.arm import load_arm
+from koala3d.capture.model.rig import RigDescription, recorded_rig
+from koala3d.capture.model.trajectory import Trajectory
 from koala3d.capture.page.live import TALL, LiveView, with_histogram
 from koala3d.capture.page.session import CaptureView
 from koala3d.capture.page.timeline import of_planned
 from koala3d.capture.page.view import show, watch
 from koala3d.capture.planning import PlannedView, plan
-from koala3d.capture.rig.description import RigDescription, recorded_rig
-from koala3d.capture.trajectory import Trajectory
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.imaging import images
 from koala3d.datasets.page import open_page
 from koala3d.datasets.recording import Frame, Recording
 from tests.browser import PATIENCE_S, Browse
 
-MOUNT = RigDescription().flange_from_camera.matrix()
+MOUNT = RigDescription().carrier()
 
 
 @pytest.fixture(scope="module")
@@ -31,15 +32,33 @@ def session() -> tuple[Trajectory, list[PlannedView]]:
     return trajectory, plan(trajectory, MOUNT)
 
 
+UR5E = load_arm("ur5e").model_dump(mode="json")
+
+
 def begin(path: Path, trajectory: Trajectory) -> Recording:
     rig = {"name": "sim", "flange_from_camera": RigDescription().flange_from_camera.model_dump(mode="json")}
-    return Recording.create(path, {"trajectory": trajectory.model_dump(mode="json"), "rig": rig})
+    return Recording.create(path, {"trajectory": trajectory.model_dump(mode="json"), "rig": rig, "arm": UR5E})
 
 
 def take(recording: Recording, planned: list[PlannedView], index: int, grey: int) -> None:
     view, joints, image = planned[index].viewpoint, planned[index].joints, f"images/{index:03d}.png"
     images.write(recording.path / image, np.full((24, 32, 3), grey, np.uint8))
-    recording.append(Frame(index, view.name, view.split, image, np.eye(4), joints, 10.0 + index, 0, 0, 1e4, 0.3, ""))
+    recording.append(
+        Frame(
+            index=index,
+            name=view.name,
+            split=view.split,
+            image=image,
+            base_from_flange=np.eye(4),
+            joints=joints,
+            robot_time_s=10.0 + index,
+            host_time_ns=0,
+            device_ticks=0,
+            exposure_us=1e4,
+            settle_s=0.3,
+            sha256="",
+        )
+    )
 
 
 def test_frames_appear_as_they_come_and_the_arm_goes_along(tmp_path: Path, session: Any) -> None:

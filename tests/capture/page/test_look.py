@@ -3,15 +3,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from koala3d.capture.arms.model import load_arm
-from koala3d.capture.look.analysis import Part
-from koala3d.capture.look.jog import Jog
+from koala3d.capture.model.arm import load_arm
+from koala3d.capture.model.rig import RigDescription
+from koala3d.capture.model.trajectory import load_trajectory
 from koala3d.capture.page.look import AROUND, LookPage, framed
 from koala3d.capture.page.overlay import FRAME, PEAK, peaks, shown
-from koala3d.capture.rig.description import RigDescription
-from koala3d.capture.rig.opening import open_camera
+from koala3d.capture.rig.cameras import camera_for
+from koala3d.capture.sessions.live.analysis import Part
+from koala3d.capture.sessions.live.jog import Jog
 from koala3d.capture.sim.kinematic_arm import KinematicArm
-from koala3d.capture.trajectory import load_trajectory
 from koala3d.datasets.page import open_page
 from tests.browser import Browse
 
@@ -47,7 +47,7 @@ def test_a_window_shows_the_picture_undistorted(aspect):
 def test_the_page_shows_the_emulated_camera_and_moves_the_arm(browse: Browse, tmp_path: Path):
     session = load_trajectory("koala_demo", overrides=["camera.width=96", "camera.height=64", "camera.exposure_us=30000"])
     mount = RigDescription().carrier()
-    with open_camera("sim", session, scene="grey_card") as camera, open_page("live", 0) as page:
+    with camera_for("sim", session, scene="grey_card") as camera, open_page("live", 0) as page:
         with KinematicArm(load_arm("ur5e"), time_scale=100.0) as arm:
             jog = Jog(arm, session, mount)
             live = LookPage(page, camera, PART, burst=8, balance=tmp_path / "balance.npz", stored="", jog=jog)

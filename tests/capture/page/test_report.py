@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from koala3d.capture.model.trajectory import load_trajectory
 from koala3d.capture.page import report
-from koala3d.capture.trajectory import load_trajectory
 from koala3d.datasets import pose
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import UsageError
@@ -40,7 +40,22 @@ def recorded(tmp_path: Path) -> Callable[..., Path]:
             reached, joints = pose.look_at((0.4, 0, 0.5), (0, 0, 0)), np.full(6, 0.1 * index)
             clocks = (100.0 + index, 10**9 * (7 + index), 10**9 * (3 + index))
             image, digest = f"images/{name}.png", files.sha256(picture)
-            recording.append(Frame(index, name, "train", image, reached, joints, *clocks, 10_000.0, 0.4, digest))
+            recording.append(
+                Frame(
+                    index=index,
+                    name=name,
+                    split="train",
+                    image=image,
+                    base_from_flange=reached,
+                    joints=joints,
+                    robot_time_s=clocks[0],
+                    host_time_ns=clocks[1],
+                    device_ticks=clocks[2],
+                    exposure_us=10_000.0,
+                    settle_s=0.4,
+                    sha256=digest,
+                )
+            )
             if index == missing:
                 picture.unlink()
         return path
@@ -50,9 +65,9 @@ def recorded(tmp_path: Path) -> Callable[..., Path]:
 
 def test_a_good_recording_is_reported_completely(recorded: Callable[..., Path], tmp_path: Path) -> None:
     steps = []
-    findings = report.write(recorded(), tmp_path / "page.html", made_by="capture report x", done=lambda *n: steps.append(n))
+    findings = report.write(recorded(), tmp_path / "page.html", made_by="capture check x", done=lambda *n: steps.append(n))
     text = (tmp_path / "page.html").read_text()
-    assert findings == [] and "Nothing is wrong" in text and "capture report x" in text and "acA1920" in text
+    assert findings == [] and "Nothing is wrong" in text and "capture check x" in text and "acA1920" in text
     assert "&lt;squares&gt;" in text and "<squares>" not in text
     assert text.count("<img") == 4 and text.count("<svg") == 1 and not re.search(r'src="(?!data:)', text)
     assert [count for count, _ in steps] == list(range(1, 9)) and {total for _, total in steps} == {8}

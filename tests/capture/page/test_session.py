@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from koala3d.capture.model.rig import RigDescription
+from koala3d.capture.model.trajectory import Trajectory
 from koala3d.capture.page.session import CaptureView, along_z
 from koala3d.capture.page.timeline import Timeline, of_trajectory
-from koala3d.capture.rig.description import RigDescription
-from koala3d.capture.trajectory import Trajectory
 from koala3d.datasets import pose
 from koala3d.datasets.page import open_page
 

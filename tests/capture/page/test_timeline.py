@@ -5,14 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from koala3d.capture import kinematics
+from koala3d.capture.model import kinematics
+from koala3d.capture.model.rig import RigDescription
+from koala3d.capture.model.trajectory import Trajectory, load_trajectory
 from koala3d.capture.page.timeline import WAIT_S, of_recording, of_trajectory
 from koala3d.capture.planning import duration, move_duration, plan
-from koala3d.capture.rig.description import RigDescription
-from koala3d.capture.trajectory import Trajectory, load_trajectory
 from koala3d.datasets.recording import Frame, Recording
 
-MOUNT = RigDescription().flange_from_camera.matrix()
+MOUNT = RigDescription().carrier()
 
 
 def trajectory(x: float = 0.4, count: int = 8) -> Trajectory:
@@ -60,7 +60,22 @@ def recording_of(folder: Path, waits_s: list[float], angles: np.ndarray) -> Reco
     recording = Recording.create(folder / "r", {"trajectory": trajectory(count=3).model_dump(mode="json")})
     for i, (joints, clock) in enumerate(zip(angles, 50.0 + np.cumsum([0.0, *waits_s]), strict=True)):
         name, pose = f"{i:03d}", kinematics.forward(joints)
-        recording.append(Frame(i, name, "train", f"images/{name}.png", pose, joints, float(clock), 0, 0, 1e4, 0.3, ""))
+        recording.append(
+            Frame(
+                index=i,
+                name=name,
+                split="train",
+                image=f"images/{name}.png",
+                base_from_flange=pose,
+                joints=joints,
+                robot_time_s=float(clock),
+                host_time_ns=0,
+                device_ticks=0,
+                exposure_us=1e4,
+                settle_s=0.3,
+                sha256="",
+            )
+        )
     return recording
 
 
@@ -69,7 +84,7 @@ def test_a_recording_is_played_by_the_controllers_clock(tmp_path: Path) -> None:
     timeline = of_recording(recording_of(tmp_path, [1.5], angles), MOUNT)
     assert [stop.seconds for stop in timeline.stops] == [0, 1.5] and timeline.end == 1.5
     assert np.allclose(timeline.at(0.75), angles.mean(0))  # half way between the two
-    assert np.allclose(timeline.stops[1].base_from_camera, kinematics.forward(angles[1]) @ MOUNT)
+    assert np.allclose(timeline.stops[1].base_from_camera, kinematics.forward(angles[1]) @ MOUNT.flange_from_camera)
     assert timeline.notes[0].startswith("2 of 3 views in 2 s") and "waiting" not in " ".join(timeline.notes)
 
 

@@ -4,13 +4,13 @@ import re
 import numpy as np
 import pytest
 
-from koala3d.capture.kinematics import forward
+from koala3d.capture.model.kinematics import forward
+from koala3d.capture.model.rig import RigDescription
+from koala3d.capture.model.trajectory import load_trajectory
 from koala3d.capture.planning import Obstacles, draw, plan
-from koala3d.capture.rig.description import RigDescription
-from koala3d.capture.trajectory import load_trajectory
 from koala3d.datasets.imaging import images
 
-MOUNT = RigDescription().flange_from_camera.matrix()
+MOUNT = RigDescription().carrier()
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +36,7 @@ def test_what_the_page_shows_is_the_plan(drawn):
     planned, obstacles = drawn
     scene = draw._scene(planned, obstacles, "")
     for view, shown in zip(planned, scene["views"], strict=True):
-        camera = (forward(view.joints) @ MOUNT)[:3, 3]
+        camera = (forward(view.joints) @ MOUNT.flange_from_camera)[:3, 3]
         np.testing.assert_allclose(shown["track"][-1], camera, atol=1e-4)
         np.testing.assert_allclose(shown["edges"][0][0], camera, atol=1e-4)  # tip of the pyramid
         assert shown["room_mm"] > -5  # ways are checked every 0.05 rad

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from koala3d.capture.model.trajectory import Motion, Trajectory
+from koala3d.capture.model.viewpoints import Viewpoint
 from koala3d.capture.planning import PlannedView, arrivals, duration, move_duration
-from koala3d.capture.trajectory import Motion, Trajectory
-from koala3d.capture.viewpoints import Viewpoint
 
 MOTION = Motion(speed=1.0, acceleration=2.0, settle_time_s=0.5)
 

@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 
-from koala3d.capture.arms.carrier import carrier_of
-from koala3d.capture.kinematics import forward
+from koala3d.capture.model.distances import box_distance, segment_distance, sight_distance
+from koala3d.capture.model.kinematics import forward
+from koala3d.capture.model.rig import RigDescription
+from koala3d.capture.model.trajectory import load_trajectory
 from koala3d.capture.planning.obstacles import Obstacles
-from koala3d.capture.shapes.distances import box_distance, segment_distance, sight_distance
-from koala3d.capture.trajectory import load_trajectory
-from koala3d.datasets import pose
 
-MOUNT = pose.from_rotation_vector([np.radians(45), 0, 0], [0, 0.06, 0.08])
+MOUNT = RigDescription().carrier()
 BOX = np.array([[0.3, -0.1, 0.0], [0.5, 0.1, 0.3]])
 UPRIGHT = np.array([0, -np.pi / 2, 0, -np.pi / 2, 0, 0])
 
@@ -52,9 +51,9 @@ def test_parallel_and_pointlike_segments():
 
 def test_segments_end_at_flange_and_camera():
     joints = np.array([0.3, -1.2, 1.5, -0.4, -1.5, 0.2])
-    carrier = carrier_of(MOUNT)
+    carrier = MOUNT
     bracket = carrier.segments(joints)[carrier.shape.index["bracket"]]
-    np.testing.assert_allclose(bracket, [forward(joints)[:3, 3], (forward(joints) @ MOUNT)[:3, 3]])
+    np.testing.assert_allclose(bracket, [forward(joints)[:3, 3], (forward(joints) @ MOUNT.flange_from_camera)[:3, 3]])
 
 
 def test_upright_is_free_and_stretched_forward_hits_the_table():
@@ -116,7 +115,7 @@ def test_a_larger_clearance_leaves_less_room_everywhere():
 def test_sight_does_not_depend_on_the_clearance_and_names_each_part_of_the_arm():
     joints = np.random.default_rng(4).uniform(-2, 2, (5, 6))
     near, far = (Obstacles(MOUNT, clearance, object_corners=BOX).sights(joints) for clearance in (0.0, 0.05))
-    assert list(near) == [part.name for part in carrier_of(MOUNT).arm.parts]  # the camera is in front of its bracket
+    assert list(near) == [part.name for part in MOUNT.arm.parts]  # the camera is in front of its bracket
     for name, room in near.items():
         np.testing.assert_array_equal(far[name], room)
 

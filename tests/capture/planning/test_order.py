@@ -2,13 +2,13 @@ import itertools
 
 import numpy as np
 
+from koala3d.capture.model.rig import RigDescription
+from koala3d.capture.model.trajectory import load_trajectory
 from koala3d.capture.planning import duration, plan
 from koala3d.capture.planning.order import TURN_M, short_order
-from koala3d.capture.rig.description import RigDescription
-from koala3d.capture.trajectory import load_trajectory
 from koala3d.datasets import pose
 
-MOUNT = RigDescription().flange_from_camera.matrix()
+MOUNT = RigDescription().carrier()
 
 
 def length(poses, order):

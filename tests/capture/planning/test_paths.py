@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from koala3d.capture.model.rig import RigDescription
 from koala3d.capture.planning.obstacles import Obstacles
 from koala3d.capture.planning.paths import are_free, between, find_path, is_free
-from koala3d.datasets import pose
 
-MOUNT = pose.from_rotation_vector([np.radians(45), 0, 0], [0, 0.06, 0.08])
+MOUNT = RigDescription().carrier()
 POST = np.array([[-0.65, -0.05, 0.0], [-0.45, 0.05, 0.6]])
 """Stands where the arm would sweep from one side to the other."""
 OBSTACLES = Obstacles(MOUNT, 0.02, table_z=0.0, object_corners=POST)

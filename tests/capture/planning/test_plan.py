@@ -3,16 +3,15 @@
 import numpy as np
 import pytest
 
-from koala3d.capture.errors import PlanningError, UnreachableError
-from koala3d.capture.geometry import Box
-from koala3d.capture.kinematics import JOINT_LIMIT, forward
+from koala3d.capture.drivers.errors import PlanningError, UnreachableError
+from koala3d.capture.model.geometry import Box
+from koala3d.capture.model.kinematics import JOINT_LIMIT, forward
+from koala3d.capture.model.rig import RigDescription
+from koala3d.capture.model.trajectory import Trajectory, load_trajectory
+from koala3d.capture.model.viewpoints import HemisphereViews, JointViews
 from koala3d.capture.planning import Obstacles, connect, plan
-from koala3d.capture.rig.description import RigDescription
-from koala3d.capture.trajectory import Trajectory, load_trajectory
-from koala3d.capture.viewpoints import HemisphereViews, JointViews
-from koala3d.datasets import pose
 
-MOUNT = RigDescription().flange_from_camera.matrix()
+MOUNT = RigDescription().carrier()
 
 
 def _orbit(**changes):
@@ -33,7 +32,7 @@ def test_shipped_trajectories_are_reachable(name):
     assert len(planned) == len(trajectory.viewpoints())
     here, ways = planned[0].joints, []
     for view, asked in zip(planned, trajectory.viewpoints(), strict=True):
-        reached = forward(view.joints) @ MOUNT
+        reached = forward(view.joints) @ MOUNT.flange_from_camera
         np.testing.assert_allclose(reached, view.viewpoint.camera_pose(MOUNT), atol=2e-6)
         np.testing.assert_allclose(reached[:3, 2:], asked.camera_pose(MOUNT)[:3, 2:], atol=2e-6)  # rolled at most
         assert np.abs(view.joints).max() < JOINT_LIMIT and obstacles.sight(view.joints[None])[0] >= 0
@@ -94,6 +93,6 @@ def test_joint_views_are_kept_and_checked():
 
 def test_an_arm_that_starts_in_the_table_is_an_error():
     stuck = np.array([0, 0.3, 0, -np.pi / 2, 0, 0])
-    obstacles = Obstacles(pose.rigid(np.eye(3), [0, 0, 0.1]), 0.02, table_z=0.0)
+    obstacles = Obstacles(MOUNT, 0.02, table_z=0.0)
     with pytest.raises(PlanningError, match="already too close"):
         connect(stuck, np.add(stuck, [0, 0.1, 0, 0, 0, 0]), obstacles)

@@ -4,14 +4,14 @@ import itertools
 
 import numpy as np
 
-from koala3d.capture.arms.model import load_arm
+from koala3d.capture.model.arm import load_arm
+from koala3d.capture.model.rig import RigDescription
 from koala3d.capture.planning.obstacles import Obstacles
 from koala3d.capture.planning.paths import is_free
 from koala3d.capture.planning.sequence import DETOUR, shortest
-from koala3d.datasets import pose
 
 HOME = load_arm("ur5e").home
-MOUNT = pose.from_rotation_vector([np.radians(45), 0, 0], [0, 0.06, 0.08])
+MOUNT = RigDescription().carrier()
 NOTHING = Obstacles(MOUNT, -1.0)  # a negative clearance: nothing is ever too close
 
 

@@ -3,14 +3,15 @@
 import numpy as np
 import pytest
 
-from koala3d.capture import kinematics
-from koala3d.capture.kinematics import JOINT_LIMIT, forward
+from koala3d.capture.model import kinematics
+from koala3d.capture.model.kinematics import JOINT_LIMIT, forward
+from koala3d.capture.model.rig import RigDescription
+from koala3d.capture.model.viewpoints import Viewpoint
 from koala3d.capture.planning.obstacles import Obstacles
 from koala3d.capture.planning.solutions import MIN_SINGULARITY, solve
-from koala3d.capture.viewpoints import Viewpoint
 from koala3d.datasets import pose
 
-MOUNT = pose.from_rotation_vector([np.radians(45), 0, 0], [0, 0.06, 0.08])
+MOUNT = RigDescription().carrier()
 FREE = Obstacles(MOUNT, 0.02, table_z=0.0)
 TARGET = (0.4, 0.0, 0.14)
 
@@ -25,7 +26,7 @@ def test_every_solution_reaches_the_pose_of_its_roll() -> None:
     assert not found.reason and len(found.joints) == len(found.rolls) > 8 and set(found.rolls) == {0, 2}  # roll 1 is too close
     for index, joints in enumerate(found.joints):
         taken = found.taken_by(index, MOUNT)
-        np.testing.assert_allclose(forward(joints) @ MOUNT, taken.camera_pose(MOUNT), atol=1e-5)
+        np.testing.assert_allclose(forward(joints) @ MOUNT.flange_from_camera, taken.camera_pose(MOUNT), atol=1e-5)
         assert taken.rolls == (0.0,) and taken.name == "000"
 
 
@@ -61,7 +62,7 @@ def test_given_joint_angles_are_kept_and_get_their_camera_pose() -> None:
     joints = np.radians([0, -90, 90, -90, -90, 0.0])
     found = solve(Viewpoint(joints=joints, name="007"), FREE)
     assert not found.reason and len(found.joints) == 1 and (found.joints[0] == joints).all()
-    np.testing.assert_array_equal(found.taken_by(0, MOUNT).base_from_camera, forward(joints) @ MOUNT)
+    np.testing.assert_array_equal(found.taken_by(0, MOUNT).base_from_camera, forward(joints) @ MOUNT.flange_from_camera)
 
 
 def test_solutions_that_hide_the_object_are_left_out() -> None:

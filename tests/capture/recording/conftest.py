@@ -2,9 +2,9 @@
 
 import pytest
 
+from koala3d.capture.model.rig import RigDescription
+from koala3d.capture.model.trajectory import Trajectory, load_trajectory
 from koala3d.capture.planning import PlannedView, plan
-from koala3d.capture.rig.description import RigDescription
-from koala3d.capture.trajectory import Trajectory, load_trajectory
 
 
 @pytest.fixture(scope="session")

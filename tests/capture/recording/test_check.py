@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, uniform_filter1d
 
+from koala3d.capture.model.trajectory import load_trajectory
 from koala3d.capture.recording.check import check, to_take_again
-from koala3d.capture.trajectory import load_trajectory
 from koala3d.datasets import pose
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import KoalaError
@@ -43,7 +43,22 @@ def good(tmp_path_factory) -> Path:
         images.write(path / image, picture(index))
         reached, digest = pose.look_at((0.4, 0, 0.5), (0, 0, 0)), files.sha256(path / image)
         clocks = (100 + now, int(1e9 * (7 + now)), int(1e9 * (3 + now)))
-        recording.append(Frame(index, name, "train", image, reached, np.zeros(6), *clocks, 10_000.0, 0.4, digest))
+        recording.append(
+            Frame(
+                index=index,
+                name=name,
+                split="train",
+                image=image,
+                base_from_flange=reached,
+                joints=np.zeros(6),
+                robot_time_s=clocks[0],
+                host_time_ns=clocks[1],
+                device_ticks=clocks[2],
+                exposure_us=10_000.0,
+                settle_s=0.4,
+                sha256=digest,
+            )
+        )
     return path
 
 

@@ -8,14 +8,14 @@ from typing import Any, Self
 import numpy as np
 import pytest
 
-from koala3d.capture import kinematics
-from koala3d.capture.arms.model import load_arm
+from koala3d.capture.drivers.protocols import Image, RobotState
+from koala3d.capture.model import kinematics
+from koala3d.capture.model.arm import load_arm
+from koala3d.capture.model.rig import CameraDescription, RigDescription
+from koala3d.capture.model.trajectory import Trajectory
 from koala3d.capture.planning import PlannedView
 from koala3d.capture.recording.recorder import record
-from koala3d.capture.rig.description import CameraDescription, RigDescription
-from koala3d.capture.rig.opening import Rig
-from koala3d.capture.rig.protocols import Image, RobotState
-from koala3d.capture.trajectory import Trajectory
+from koala3d.capture.rig.rig import Rig
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.recording import FRAMES, MANIFEST, Recording

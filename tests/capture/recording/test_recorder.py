@@ -5,16 +5,16 @@ from typing import Any, Self
 import numpy as np
 import pytest
 
-from koala3d.capture import kinematics
-from koala3d.capture.arms.model import load_arm
-from koala3d.capture.errors import MotionError
+from koala3d.capture.drivers.errors import MotionError
+from koala3d.capture.drivers.protocols import Image, RobotState
+from koala3d.capture.model import kinematics
+from koala3d.capture.model.arm import load_arm
+from koala3d.capture.model.rig import RigDescription
+from koala3d.capture.model.trajectory import Trajectory, load_trajectory
 from koala3d.capture.planning import plan
 from koala3d.capture.recording.check import check
 from koala3d.capture.recording.recorder import record
-from koala3d.capture.rig.description import RigDescription
-from koala3d.capture.rig.opening import Rig
-from koala3d.capture.rig.protocols import Image, RobotState
-from koala3d.capture.trajectory import Trajectory, load_trajectory
+from koala3d.capture.rig.rig import Rig
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.imaging import images
@@ -116,7 +116,7 @@ def test_manifest_says_what_the_next_steps_need(trajectory, rig, views, tmp_path
 
 def test_board_is_described_for_a_calibration(rig, tmp_path):
     trajectory = load_trajectory("calibration_demo")
-    views = plan(trajectory, rig.flange_from_camera)[:1]
+    views = plan(trajectory, rig.carrier)[:1]
     recording = record(trajectory, rig, tmp_path / "rec", planned=views)
     assert recording.manifest["board"] == {
         "type": "charuco",
@@ -142,16 +142,6 @@ def test_the_pose_after_is_read_after_the_exposure(trajectory, rig, views, tmp_p
     np.testing.assert_allclose(frame.joints_after - frame.joints, 1e-3, atol=1e-12)
     (moved,) = [one for one in check(tmp_path / "rec") if one.what == "the arm moved during the exposure"]
     assert moved.frame == frame.name and moved.again
-
-
-def test_a_session_from_before_settling_by_positions_is_resumed(trajectory, rig, views, tmp_path):
-    record(trajectory, rig, tmp_path / "rec", planned=views[:1])
-    path = tmp_path / "rec" / "manifest.json"
-    manifest = files.read_json(path)
-    manifest["trajectory"]["motion"]["settle_speed"] = 0.001
-    del manifest["trajectory"]["motion"]["settle_spread"]
-    files.write_json(path, manifest)
-    assert len(record(trajectory, rig, tmp_path / "rec", resume=True, planned=views[:2]).frames) == 2
 
 
 def test_a_stopped_session_is_resumed_without_a_duplicate(trajectory, rig, views, tmp_path):

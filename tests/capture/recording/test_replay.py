@@ -1,13 +1,14 @@
 import numpy as np
 import pytest
 
-from koala3d.capture import kinematics
-from koala3d.capture.errors import CaptureError
-from koala3d.capture.measurements import RobotState
+from koala3d.capture.drivers.errors import CaptureError
+from koala3d.capture.drivers.measurements import RobotState
+from koala3d.capture.model import kinematics
+from koala3d.capture.model.arm import load_arm
+from koala3d.capture.model.rig import RigDescription
+from koala3d.capture.model.trajectory import load_trajectory
 from koala3d.capture.planning import plan
 from koala3d.capture.recording.replay import replay, summary
-from koala3d.capture.rig.description import RigDescription
-from koala3d.capture.trajectory import load_trajectory
 from koala3d.datasets import pose
 from koala3d.datasets.core import files
 from koala3d.datasets.recording import Frame, Recording
@@ -45,12 +46,26 @@ def recording(tmp_path):
     trajectory = load_trajectory("koala_demo")
     description = RigDescription()
     rig = {"name": "sim", **description.model_dump(mode="json")}
-    made = Recording.create(tmp_path / "rec", {"trajectory": trajectory.model_dump(mode="json"), "rig": rig})
+    arm = load_arm("ur5e").model_dump(mode="json")
+    made = Recording.create(tmp_path / "rec", {"trajectory": trajectory.model_dump(mode="json"), "rig": rig, "arm": arm})
     truth = {}
-    for index, view in enumerate(plan(trajectory, description.flange_from_camera.matrix())[:4]):
+    for index, view in enumerate(plan(trajectory, description.carrier())[:4]):
         reached = kinematics.forward(view.joints)
         made.append(
-            Frame(index, view.viewpoint.name, "train", f"images/{index}.png", reached, view.joints, 0.0, 0, 0, 1e4, 0.3, "")
+            Frame(
+                index=index,
+                name=view.viewpoint.name,
+                split="train",
+                image=f"images/{index}.png",
+                base_from_flange=reached,
+                joints=view.joints,
+                robot_time_s=0.0,
+                host_time_ns=0,
+                device_ticks=0,
+                exposure_us=1e4,
+                settle_s=0.3,
+                sha256="",
+            )
         )
         truth[view.viewpoint.name] = (reached @ MOUNT).tolist()
     files.write_json(made.path / "truth" / "poses.json", {"flange_from_camera": MOUNT.tolist(), "base_from_camera": truth})

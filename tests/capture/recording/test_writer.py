@@ -3,7 +3,7 @@ import threading
 import numpy as np
 import pytest
 
-from koala3d.capture.measurements import Image
+from koala3d.capture.drivers.measurements import Image
 from koala3d.capture.recording import writer as module
 from koala3d.capture.recording.writer import Writer
 from koala3d.datasets.core import files
@@ -18,7 +18,20 @@ def recording(tmp_path):
 
 
 def frame(index):
-    return Frame(index, f"{index:03d}", "train", f"images/{index:03d}.png", np.eye(4), np.zeros(6), 0.0, 0, 0, 1e4, 0.1, "")
+    return Frame(
+        index=index,
+        name=f"{index:03d}",
+        split="train",
+        image=f"images/{index:03d}.png",
+        base_from_flange=np.eye(4),
+        joints=np.zeros(6),
+        robot_time_s=0.0,
+        host_time_ns=0,
+        device_ticks=0,
+        exposure_us=1e4,
+        settle_s=0.1,
+        sha256="",
+    )
 
 
 def pictures(index):

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from koala3d.capture.cli import main
+from koala3d.capture.model.rig import load_rig, recorded_carrier
+from koala3d.capture.model.trajectory import Trajectory, load_trajectory
 from koala3d.capture.planning import plan
 from koala3d.capture.recording.replay import replay, summary
-from koala3d.capture.rig.description import load_rig, recorded_carrier
-from koala3d.capture.rig.opening import controller_model, describe, open_arm
-from koala3d.capture.trajectory import Trajectory, load_trajectory
+from koala3d.capture.rig.arms import open_arm
+from koala3d.capture.rig.controllers import controller_model
+from koala3d.capture.rig.naming import describe
 from koala3d.datasets import pose
 from koala3d.datasets.build import build
 from koala3d.datasets.calibration import Calibration, UncertainPose
@@ -110,9 +112,9 @@ def test_what_does_not_fit_is_one_clear_line(tmp_path: Path, text: str, words: s
 def test_files_beside_a_rig_file_are_found(tmp_path: Path) -> None:
     import trimesh
 
-    from koala3d.capture import arms
+    from koala3d import configs
 
-    shipped = Path(arms.__file__).parents[2] / "configs" / "arms" / "ur3e.yaml"
+    shipped = Path(configs.__file__).parent / "arms" / "ur3e.yaml"
     (tmp_path / "mine.yaml").write_text(shipped.read_text().replace("name: UR3e", "name: Mine"))
     trimesh.creation.box((0.2, 0.2, 0.2)).export(tmp_path / "shelf.ply")
     path = written(tmp_path, "robot: {model: mine.yaml}\nobstacles: [{kind: mesh, name: shelf, file: shelf.ply}]\n")

@@ -12,14 +12,14 @@ import cv2
 import numpy as np
 import pytest
 
-from koala3d.capture.cameras.basler import Basler
-from koala3d.capture.cameras.device import Device
-from koala3d.capture.errors import CaptureError
-from koala3d.capture.measurements import Image
+from koala3d.capture.drivers.cameras.basler import Basler
+from koala3d.capture.drivers.errors import CaptureError
+from koala3d.capture.drivers.measurements import Image
+from koala3d.capture.model.device import Device
+from koala3d.capture.model.trajectory import CameraSettings, load_trajectory
 from koala3d.capture.rig import contract
+from koala3d.capture.rig.cameras import camera_for
 from koala3d.capture.rig.contract import CONTRACT, KEYS, Broken, Subject, check
-from koala3d.capture.rig.opening import camera_for
-from koala3d.capture.trajectory import CameraSettings, load_trajectory
 from koala3d.datasets.imaging import images
 
 SMALL = CameraSettings(width=64, height=48, binning=4, exposure_us=2000)
@@ -49,7 +49,7 @@ def basler(name: str) -> Subject:
 
 def realsense() -> Subject:
     needs("pyrealsense2")
-    from koala3d.capture.cameras.realsense import RealSense
+    from koala3d.capture.drivers.cameras.realsense import RealSense
     from koala3d.capture.sim.realsense_device import SoftwareRealSense
     from koala3d.capture.sim.truth import RigTruth
 
@@ -69,7 +69,7 @@ def realsense() -> Subject:
 
 
 def numbered_pictures(folder: Path) -> Subject:
-    from koala3d.capture.cameras.opencv import OpenCvCamera
+    from koala3d.capture.drivers.cameras.opencv import OpenCvCamera
 
     for number in range(4):
         images.write(folder / f"{number:03d}.png", np.random.default_rng(number).integers(0, 255, (48, 64, 3), np.uint8))
@@ -84,7 +84,7 @@ def film(folder: Path) -> Subject:
     for number in range(4):
         writer.write(np.full((48, 64, 3), 50 * number, np.uint8))
     writer.release()
-    from koala3d.capture.cameras.opencv import OpenCvCamera
+    from koala3d.capture.drivers.cameras.opencv import OpenCvCamera
 
     device = Device.model_validate({"model": "opencv", "source": str(folder / "film.avi"), "leave": FREE[:2]})
     return Subject(lambda wanted: OpenCvCamera(wanted, device), CameraSettings(width=64, height=48), ({"width": 65},))
@@ -92,7 +92,7 @@ def film(folder: Path) -> Subject:
 
 def genicam() -> Subject:
     needs("harvesters", "genicam")
-    from koala3d.capture.cameras.gentl import GenTlCamera
+    from koala3d.capture.drivers.cameras.gentl import GenTlCamera
 
     device = Device.model_validate(
         {"model": "genicam", "source": producer(), "serial": "0", "leave": FREE, "settings": {"AcquisitionFrameRate": 200.0}}
@@ -111,7 +111,7 @@ def producer() -> str:
 
 def gphoto(folder: Path) -> Subject:
     needs("gphoto2")
-    from koala3d.capture.cameras.gphoto import GphotoCamera
+    from koala3d.capture.drivers.cameras.gphoto import GphotoCamera
 
     pictures = folder / "store"
     cards = pictures / "DCIM" / "100GPHOT"

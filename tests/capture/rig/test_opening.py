@@ -10,13 +10,16 @@ import numpy as np
 import pytest
 import yaml
 
-from koala3d.capture.errors import RigConnectionError
-from koala3d.capture.rig import opening
-from koala3d.capture.rig.description import RigDescription, load_rig, recorded_rig
-from koala3d.capture.rig.opening import describe, open_arm, open_rig, scene_for, write_simulated_rig
+from koala3d.capture.drivers.errors import RigConnectionError
+from koala3d.capture.model.rig import RigDescription, load_rig, recorded_rig
+from koala3d.capture.model.trajectory import Trajectory, load_trajectory
+from koala3d.capture.rig import arms, opening
+from koala3d.capture.rig.arms import open_arm
+from koala3d.capture.rig.controllers import write_simulated_rig
+from koala3d.capture.rig.naming import describe, scene_for
+from koala3d.capture.rig.opening import open_rig
 from koala3d.capture.sim.controller.process import SimulatedController
 from koala3d.capture.sim.grbl import SimulatedGrbl
-from koala3d.capture.trajectory import Trajectory, load_trajectory
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.recording import Recording
 
@@ -124,7 +127,8 @@ def watched(monkeypatch: pytest.MonkeyPatch) -> list[str]:
             events.append("arm closed")
 
     monkeypatch.setattr(SimulatedController, "as_built", controller)
-    monkeypatch.setattr(opening, "_arm", arm)
+    monkeypatch.setattr(opening, "arm_of", arm)
+    monkeypatch.setattr(arms, "arm_of", arm)
     return events
 
 
@@ -206,8 +210,8 @@ def test_the_table_of_a_real_rig_looks_for_its_switch_once_camera_and_arm_are_co
             raise RigConnectionError(f"no {kind} was found")
         yield kind
 
-    monkeypatch.setattr(opening, "_camera", lambda *arguments: (device("camera"), None))
-    monkeypatch.setattr(opening, "_arm", lambda *arguments: device("arm"))
+    monkeypatch.setattr(opening, "camera_in", lambda *arguments: (device("camera"), None))
+    monkeypatch.setattr(opening, "arm_of", lambda *arguments: device("arm"))
     with SimulatedGrbl(time_scale=50, state="Alarm") as controller:
         rig = describe("ur5e_turntable").model_dump(mode="json", include={"turntable"})
         rig["turntable"] |= {"address": controller.address, "homing": True}

@@ -9,11 +9,12 @@ import pytest
 
 from koala3d.capture.doctor.examine import examine
 from koala3d.capture.doctor.lines import Verdict
+from koala3d.capture.model.trajectory import load_trajectory
 from koala3d.capture.planning import plan
 from koala3d.capture.recording.check import check
 from koala3d.capture.recording.recorder import _size, record
-from koala3d.capture.rig.opening import describe, open_rig
-from koala3d.capture.trajectory import load_trajectory
+from koala3d.capture.rig.naming import describe
+from koala3d.capture.rig.opening import open_rig
 from koala3d.datasets.build import build
 from koala3d.datasets.calibration import Calibration, UncertainPose
 from koala3d.datasets.camera_model import Camera

@@ -3,11 +3,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from koala3d.capture.model.trajectory import Trajectory, load_trajectory
 from koala3d.capture.recording.focus import sharpness
 from koala3d.capture.sim.camera import SimulatedCamera, blur_moments
 from koala3d.capture.sim.laboratory.views import check_scene
 from koala3d.capture.sim.truth import RigTruth
-from koala3d.capture.trajectory import Trajectory, load_trajectory
 from koala3d.datasets import pose
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core import files

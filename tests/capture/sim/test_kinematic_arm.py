@@ -5,8 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from koala3d.capture.arms.model import load_arm
-from koala3d.capture.errors import MotionError, RigConnectionError, SafetyError, StopLatched
+from koala3d.capture.drivers.errors import MotionError, RigConnectionError, SafetyError, StopLatched
+from koala3d.capture.model.arm import load_arm
 from koala3d.capture.sim.kinematic_arm import KinematicArm
 from koala3d.datasets import pose
 from tests.moments import as_soon_as, until

@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from koala3d.capture.rig.description import RigDescription
+from koala3d.capture.drivers.turntable.grbl import GrblTurntable
+from koala3d.capture.model.rig import RigDescription
+from koala3d.capture.model.trajectory import load_trajectory
 from koala3d.capture.sim.camera import SimulatedCamera, StillArm
 from koala3d.capture.sim.laboratory.renderer import Renderer
 from koala3d.capture.sim.laboratory.scenes import STILL, stage
 from koala3d.capture.sim.truth import RigTruth
 from koala3d.capture.sim.turntable import GEAR_RAD, SimulatedTurntable, TurntableTruth
-from koala3d.capture.trajectory import load_trajectory
-from koala3d.capture.turntables.grbl import GrblTurntable
 from koala3d.datasets import pose
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core import files

@@ -56,7 +56,7 @@ class Rigged:
     """An arm and a camera in one; its pictures follow from where it stands."""
 
     def __init__(self) -> None:
-        from koala3d.capture.arms.model import load_arm
+        from koala3d.capture.model.arm import load_arm
 
         self.joints = load_arm("ur5e").home.copy()
 
@@ -69,15 +69,15 @@ class Rigged:
         self.joints = np.array(joints)
 
     def state(self, *, newer_than_ns: int = 0) -> Any:
-        from koala3d.capture import kinematics
-        from koala3d.capture.rig.protocols import RobotState
+        from koala3d.capture.drivers.protocols import RobotState
+        from koala3d.capture.model import kinematics
 
         return RobotState(kinematics.forward(self.joints), self.joints.copy(), np.zeros(6), time.monotonic(), time.monotonic_ns())
 
     def stop(self) -> None: ...
 
     def grab(self) -> Any:
-        from koala3d.capture.rig.protocols import Image
+        from koala3d.capture.drivers.protocols import Image
 
         seed = int(abs(self.joints).sum() * 1e6)
         return Image(
@@ -89,11 +89,11 @@ class Rigged:
 
 
 def _record(sources: Path, folder: Path, report: Report = lambda name: None) -> None:
+    from koala3d.capture.model.rig import RigDescription
+    from koala3d.capture.model.trajectory import load_trajectory
     from koala3d.capture.planning import plan
     from koala3d.capture.recording.recorder import record
-    from koala3d.capture.rig.description import RigDescription
-    from koala3d.capture.rig.opening import Rig
-    from koala3d.capture.trajectory import load_trajectory
+    from koala3d.capture.rig.rig import Rig
 
     trajectory = load_trajectory("koala_demo", overrides=THREE)
     both = Rigged()
@@ -155,7 +155,18 @@ def sources_of_scene(folder: Path) -> None:
         matrix = pose.look_at((np.cos(number), np.sin(number), 0.5), (0, 0, 0))
         recording.append(
             Frame(
-                number, f"{number}", "train", f"images/{number}.png", matrix, np.zeros(6), 0.0, 0, 0, 1e4, 0.1, files.sha256(path)
+                index=number,
+                name=f"{number}",
+                split="train",
+                image=f"images/{number}.png",
+                base_from_flange=matrix,
+                joints=np.zeros(6),
+                robot_time_s=0.0,
+                host_time_ns=0,
+                device_ticks=0,
+                exposure_us=1e4,
+                settle_s=0.1,
+                sha256=files.sha256(path),
             )
         )
     known = UncertainPose(np.eye(4), 1e-8 * np.eye(6))

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from koala3d.capture.kinematics import UR5E, forward
-from koala3d.capture.sim.controller.arm import PAUSE_S, Arm, Safety
-from koala3d.capture.sim.controller.profiles import Stop
+from koala3d.capture.model.kinematics import UR5E, forward
+from koala3d.capture.sim.controller.arm import PAUSE_S, Safety, SimulatedArm
+from koala3d.capture.sim.controller.profiles import Braking
 from koala3d.datasets import pose
 
 HOME = np.array([0, -np.pi / 2, 0, -np.pi / 2, 0, 0])
@@ -13,7 +13,7 @@ GOAL = np.array([0.3, -1.2, 1.0, -1.4, -1.5, 0.2])
 
 
 def _arm(seed=0, links=UR5E):
-    return Arm(seed, HOME, repeatability_m=3e-5, repeatability_rad=1e-4, links=links)
+    return SimulatedArm(seed, HOME, repeatability_m=3e-5, repeatability_rad=1e-4, links=links)
 
 
 def _visit(arm, goal, now):
@@ -66,7 +66,7 @@ def test_an_emergency_stop_ends_the_motion_and_the_power():
     arm = _arm()
     arm.move_to(GOAL, 1.0, 1.4, 0.0)
     arm.stop_for_safety(Safety.ROBOT_EMERGENCY_STOP, 0.8)
-    assert isinstance(arm.profile, Stop) and arm.profile.duration < 0.2 and not arm.may_move
+    assert isinstance(arm.profile, Braking) and arm.profile.duration < 0.2 and not arm.may_move
     assert np.abs(arm.target(5.0)[0] - GOAL).max() > 0.1
 
 
@@ -97,7 +97,7 @@ def test_the_oscillation_lasts_as_long_as_it_says():
 
 
 def test_encoders_have_noise_that_the_joints_have_not():
-    arm = Arm(0, HOME, 0.0, 0.0, noise_rad=1e-5)
+    arm = SimulatedArm(0, HOME, 0.0, 0.0, noise_rad=1e-5)
     angles, speeds = zip(*(arm.measured(1.0) for _ in range(500)), strict=True)
     np.testing.assert_array_equal(arm.actual(1.0)[0], HOME)
     assert np.std(np.subtract(angles, HOME)) == pytest.approx(1e-5, rel=0.06)  # 3000 draws: 1.3 % standard error

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from koala3d.capture.sim.controller.arm import Arm, RobotMode, Safety
+from koala3d.capture.sim.controller.arm import RobotMode, Safety, SimulatedArm
 from koala3d.capture.sim.controller.dashboard import reply
 from koala3d.capture.sim.controller.installation import Installation
 
@@ -13,7 +13,7 @@ from koala3d.capture.sim.controller.installation import Installation
 @pytest.fixture
 def controller():
     found = SimpleNamespace(
-        arm=Arm(0, np.zeros(6), 0.0, 0.0),
+        arm=SimulatedArm(0, np.zeros(6), 0.0, 0.0),
         installed=Installation(version=(5, 11, 5, 7)),
         unstoppable=False,
         program_running=True,

@@ -9,9 +9,9 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from koala3d.capture.robots.rtde import program
-from koala3d.capture.robots.rtde.wire import packet
-from koala3d.capture.sim.controller.arm import Arm
+from koala3d.capture.drivers.ur.rtde import program
+from koala3d.capture.drivers.ur.rtde.wire import packet
+from koala3d.capture.sim.controller.arm import SimulatedArm
 from koala3d.capture.sim.controller.process import SimulatedController
 from koala3d.capture.sim.controller.script import ACTIONS, ANSWERS, DONE, ControlProgram, refusal
 from tests.moments import until
@@ -63,7 +63,7 @@ def test_the_premise_there_are_commands_that_are_not_simulated() -> None:
 
 @pytest.mark.parametrize("number", UNKNOWN[::6])
 def test_an_unknown_command_ends_the_program_with_the_reason(number: int, caplog: pytest.LogCaptureFixture) -> None:
-    control = ControlProgram(Arm(0, HOME, 0.0, 0.0), "def rtde_control():\nend\n")
+    control = ControlProgram(SimulatedArm(0, HOME, 0.0, 0.0), "def rtde_control():\nend\n")
     control.input_ints[0] = number
     with caplog.at_level(logging.WARNING):
         control.cycle(0.0)

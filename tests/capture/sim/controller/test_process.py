@@ -13,8 +13,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from koala3d.capture.errors import SimulationError
-from koala3d.capture.kinematics import forward
+from koala3d.capture.drivers.errors import SimulationError
+from koala3d.capture.model.kinematics import forward
 from koala3d.capture.sim.controller import _child
 from koala3d.capture.sim.controller.process import HOME, SimulatedController
 from koala3d.datasets.core.errors import UsageError

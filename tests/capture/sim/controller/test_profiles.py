@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from koala3d.capture.sim.controller.profiles import Chain, Move, Stop, trapezoid_times
+from koala3d.capture.sim.controller.profiles import Braking, Chain, Move, trapezoid_times
 
 START, GOAL = np.zeros(6), np.array([1.2, -0.6, 0.3, 0, 0, 0.1])
 
@@ -34,14 +34,14 @@ def test_trapezoid_by_hand():
 
 
 def test_a_stop_brakes_the_fastest_joint_as_asked():
-    stop = Stop(START, np.array([1.0, -0.5, 0, 0, 0, 0]), 2.0)
+    stop = Braking(START, np.array([1.0, -0.5, 0, 0, 0, 0]), 2.0)
     assert stop.duration == 0.5
     np.testing.assert_allclose(stop.at(np.inf)[0], [0.25, -0.125, 0, 0, 0, 0])
     assert not stop.at(0.6)[1].any()
 
 
 def test_a_chain_is_continuous():
-    stop = Stop(START, np.array([1.0, 0, 0, 0, 0, 0]), 2.0)
+    stop = Braking(START, np.array([1.0, 0, 0, 0, 0, 0]), 2.0)
     chain = Chain(stop, Move(stop.at(np.inf)[0], GOAL, 1.0, 2.0))
     _, angles, speeds = _sampled(chain)
     assert np.abs(np.diff(angles, axis=0)).max() < 1e-3 and np.abs(np.diff(speeds, axis=0)).max() < 2e-3

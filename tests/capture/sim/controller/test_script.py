@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from koala3d.capture.sim.controller.arm import Arm
+from koala3d.capture.sim.controller.arm import SimulatedArm
 from koala3d.capture.sim.controller.script import DONE, END, EVERY_CYCLE, READY, ControlProgram
 
 HOME = np.array([0, -np.pi / 2, 0, -np.pi / 2, 0, 0])
 
 
 def _program(text="def rtde_control():\nend\n"):
-    return ControlProgram(Arm(0, HOME, 0.0, 0.0), text)
+    return ControlProgram(SimulatedArm(0, HOME, 0.0, 0.0), text)
 
 
 def _order(program, number, arguments=(), flag=0, now=0.0):

@@ -76,7 +76,3 @@ def test_noise_covers_its_range_without_jumps():
     noise = textures.noise(100, 120, 6, np.random.default_rng(3))
     assert noise.shape == (100, 120) and noise.min() >= 0 and noise.max() <= 1 and np.ptp(noise) > 0.6
     assert np.abs(np.diff(noise, axis=0)).max() < 0.2
-
-
-def test_a_scene_is_known_by_its_name_in_earlier_versions() -> None:
-    assert check_name("charuco_board") == check_name("board") == "board"

@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from koala3d.capture.errors import SimulationError
+from koala3d.capture.drivers.errors import SimulationError
+from koala3d.capture.model.trajectory import load_trajectory
 from koala3d.capture.sim.laboratory import views
 from koala3d.capture.sim.laboratory.lens import Lens
 from koala3d.capture.sim.laboratory.views import BoardView, ObjectView, make_view
-from koala3d.capture.trajectory import load_trajectory
 from koala3d.datasets import pose
 from koala3d.datasets.camera_model import Camera
 

@@ -1,1 +1,0 @@
-"""Arms by file: their chain, limits and shape, inverse kinematics, and what they carry."""

@@ -1,0 +1,39 @@
+"""Arguments and options that several `capture` commands share."""
+
+from pathlib import Path
+from typing import Annotated
+
+from typer import Argument, Option
+
+SIMULATION = "Simulation"
+"""Panel of options that mean nothing to a real rig."""
+TrajectoryName = Annotated[
+    Path, Argument(metavar="TRAJECTORY", help="A trajectory: its name, as 'capture list' shows it, or a YAML file.")
+]
+Settings = Annotated[
+    list[str] | None, Option("--set", metavar="KEY=VALUE", help="Change a value of the trajectory: camera.binning=4.")
+]
+Recorded = Annotated[Path, Argument(metavar="RECORDING", help="Folder that 'capture run' has written.")]
+RigName = Annotated[
+    str,
+    Option(
+        metavar="RIG",
+        help="A rig: a name that 'capture list' shows, or a YAML file. 'sim' is the simulated rig, 'sim:RIG' simulates another.",
+    ),
+]
+Scene = Annotated[
+    str, Option(help="A scene of 'capture list'. Default: one that fits the trajectory.", rich_help_panel=SIMULATION)
+]
+Seed = Annotated[int, Option(min=0, help="Random seed; the same seed is the same rig.", rich_help_panel=SIMULATION)]
+TimeScale = Annotated[
+    float, Option(min=0.1, max=1000, help="Speed of the arm relative to real time.", rich_help_panel=SIMULATION)
+]
+TakeOver = Annotated[
+    bool, Option("--take-over", help="End the program that runs on the robot's controller. Default: refuse to start.")
+]
+CalibrationFile = Annotated[
+    Path | None, Option("--calibration", metavar="CALIBRATION.json", help="Calibration file, which says what the pictures show.")
+]
+MeshScale = Annotated[
+    float, Option("--mesh-scale", min=1e-6, max=1000, help="Metres per unit of the mesh: 0.001 for millimetres.")
+]

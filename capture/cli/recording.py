@@ -1,0 +1,106 @@
+"""Commands for a finished recording: check, replay."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer import Option
+
+from koala3d.capture.cli.options import CalibrationFile, MeshScale, Recorded, RigName, TimeScale
+from koala3d.datasets.core import console
+
+COVERAGE = "Coverage of a known shape"
+
+
+def check(
+    recording: Recorded,
+    discard: Annotated[bool, Option("--discard", help="Remove bad views; 'capture run --resume' retakes them.")] = False,
+    page: Annotated[
+        Path | None,
+        Option(
+            "--page", metavar="PAGE.html", help="Also write an HTML report: exposure, sharpness and joints over time, pictures."
+        ),
+    ] = None,
+    coverage: Annotated[
+        Path | None,
+        Option(
+            "--coverage",
+            metavar="MESH",
+            help="Also print the share of this mesh (base frame) that three training views see at 60 degrees or less.",
+            rich_help_panel=COVERAGE,
+        ),
+    ] = None,
+    mesh_scale: MeshScale = 1.0,
+    calibration: CalibrationFile = None,
+    as_json: console.Json = False,
+) -> None:
+    """Verify a recording: hashes, counts, clocks, exposure, sharpness. Lists the views to retake; exit code 1 with findings."""
+    from koala3d.capture.recording import check
+    from koala3d.datasets.recording import Recording
+
+    opened = Recording.open(recording)
+    frames = len(opened.frames)
+    shares, covered = [], []
+    if coverage is not None:
+        from koala3d.capture.sessions.adaptive import coverage as measured
+        from koala3d.datasets.calibration import Calibration
+
+        shares = measured.of_recording(recording, coverage, mesh_scale, calibration and Calibration.load(calibration))
+        covered = measured.lines(shares)
+    with console.progress("check", frames, "pictures") as shown:
+        if page is None:
+            findings = check.check(recording, done=shown.show)
+        else:
+            from koala3d.capture.page.report import write
+
+            findings = write(recording, page, made_by=console.command_line(), done=shown.show)
+    again = check.to_take_again(findings)
+    discarded = opened.discard(again) if discard else []
+    good = all(finding.note for finding in findings)
+    lines = [finding.line for finding in findings]
+    if good:
+        lines.append(f"{recording}: {frames} views, nothing is wrong")
+    if again:
+        lines.append(f"retake: {', '.join(again)}")
+        removed = f"removed: {', '.join(discarded)}; the command that made the recording retakes them with --resume"
+        lines.append(removed if discard else "'capture check --discard' removes them, and 'capture run --resume' retakes them")
+    found: dict[str, Any] = {"recording": str(recording), "frames": frames, "page": page, "covered_after": shares}
+    found |= {"findings": [vars(finding) for finding in findings], "take_again": again, "discarded": discarded}
+    console.report(found, as_json=as_json, text="\n".join([*lines, *covered, *([str(page)] if page is not None else [])]))
+    if not good:
+        raise typer.Exit(1)
+
+
+def replay(
+    recording: Recorded,
+    rig: RigName = "sim",
+    seed: Annotated[
+        int | None,
+        Option(min=0, help="Simulation only: seed of the positioning errors. Default: the recording's plus one: a new day."),
+    ] = None,
+    time_scale: TimeScale = 20.0,
+    out: Annotated[Path | None, Option(metavar="FILE.json", help="Also write every deviation to a new file.")] = None,
+    as_json: console.Json = False,
+) -> None:
+    """Repeat the joint path of a recording without the camera, and report the deviation of each frame's pose."""
+    from koala3d.capture.model.trajectory import recorded_trajectory
+    from koala3d.capture.recording.replay import replay, summary
+    from koala3d.capture.rig.arms import open_arm
+    from koala3d.datasets.core import files
+    from koala3d.datasets.recording import Recording
+
+    found = Recording.open(recording)
+    if out is not None:
+        files.refuse_existing(out)
+    stated = found.manifest.get("seed")
+    links_seed = stated if isinstance(stated, int) else 0
+    seed, trajectory = links_seed + 1 if seed is None else seed, recorded_trajectory(found)
+    with console.progress("replay", len(found.frames), "views") as shown:
+        with open_arm(rig, trajectory, seed=seed, links_seed=links_seed, time_scale=time_scale) as (robot, controller):
+            truth = None if controller is None else controller.true_base_from_flange
+            deviations = replay(found, robot, truth=truth, advance=lambda one: shown.advance())
+    content = {"recording": str(recording), **summary(deviations), "frames": [vars(one) for one in deviations]}
+    if out is not None:
+        files.write_json(out, {"format": "koala-replay", "version": 1, **content})
+    lines = [*(f"view {one.frame}: {one.line}" for one in deviations), f"worst: {content['worst']}"]
+    console.report(content, as_json=as_json, text="\n".join(lines))

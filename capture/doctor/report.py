@@ -1,0 +1,90 @@
+"""What a UR controller answers to every question, collected once: dashboard, primary interface, and a few samples of RTDE.
+
+The connections only read. Each has a deadline and may fail by itself: then its part is None and `silent` says why.
+"""
+
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koala3d.capture.drivers.errors import RigConnectionError
+from koala3d.capture.drivers.ur.dashboard import Dashboard
+from koala3d.capture.drivers.ur.primary import Primary, listen
+from koala3d.capture.drivers.ur.rtde.stream import RtdeStream
+from koala3d.capture.model.kinematics import pose_from_six
+from koala3d.datasets import pose
+
+QUESTIONS = ("PolyscopeVersion", "get serial number", "is in remote control", "programState", "safetystatus", "robotmode")
+OUTPUTS = (
+    "timestamp actual_q actual_TCP_pose actual_tool_accelerometer payload payload_cog safety_mode robot_mode runtime_state "
+    "target_speed_fraction"
+).split()
+RATE_HZ, SAMPLE_S = 125.0, 4.0  # of the samples, and until the first one has come
+
+
+@dataclass(frozen=True)
+class ControllerReport:
+    """All that the controller says."""
+
+    host: str
+    dashboard: dict[str, str] | None
+    """Reply to each of `QUESTIONS`."""
+    primary: Primary | None
+    sample: dict[str, Any] | None
+    """The newest values of `OUTPUTS`."""
+    arrivals: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
+    """(n, 2) time of each sample on the host's monotonic clock and on the controller's [s]."""
+    silent: tuple[str, ...] = ()
+    """Why a part is missing."""
+
+    @property
+    def base_from_flange(self) -> NDArray[np.float64] | None:
+        """(4, 4) as the controller reports it [m]: its tool pose without the tool offset; None where one is not known."""
+        if self.sample is None or self.primary is None or self.primary.tcp_offset is None:
+            return None
+        return pose_from_six(self.sample["actual_TCP_pose"]) @ pose.inverse(pose_from_six(self.primary.tcp_offset))
+
+
+def ask(host: str, seconds: float) -> ControllerReport:
+    """Put every question to a controller, and listen to its samples for some time."""
+    silent: list[str] = []
+
+    def tried(part: Any, *arguments: Any) -> Any:
+        try:
+            return part(*arguments)
+        except (OSError, ValueError, RigConnectionError) as error:
+            silent.append(str(error))
+            return None
+
+    replies, primary = tried(_dashboard, host), tried(listen, host)
+    sample, arrivals = tried(_samples, host, seconds) or (None, np.zeros((0, 2)))
+    return ControllerReport(host, replies, primary, sample, arrivals, tuple(silent))
+
+
+def _dashboard(host: str) -> dict[str, str]:
+    dashboard = Dashboard.connect(host)
+    try:
+        return {question: dashboard.ask(question) for question in QUESTIONS}
+    finally:
+        dashboard.close()
+
+
+def _samples(host: str, seconds: float) -> tuple[dict[str, Any], NDArray[np.float64]]:
+    stream = RtdeStream(host, OUTPUTS, [], RATE_HZ)
+    try:
+        newest = stream.newest(SAMPLE_S)
+        if newest is None:
+            raise TimeoutError(f"RTDE sends no samples within {SAMPLE_S:.0f} s")
+        begun = time.monotonic()
+        arrivals = [(begun, newest["timestamp"])]
+        while (left := begun + seconds - time.monotonic()) > 0 and stream.connected:
+            if (sample := stream.newest(left)) is not None:
+                newest = sample
+                arrivals.append((time.monotonic(), sample["timestamp"]))
+        arrivals.append((time.monotonic(), newest["timestamp"]))  # the gap that is still open
+        return newest, np.array(arrivals)
+    finally:
+        stream.close()

@@ -1,0 +1,1 @@
+"""Drivers of robots, cameras and turntables; the protocols, values, limits and errors that they share."""

@@ -1,0 +1,124 @@
+"""Cameras that follow the GenICam standard: one way to set them up, over whichever library reads their settings."""
+
+from abc import abstractmethod
+from typing import Any, Protocol
+
+from koala3d.capture.drivers.cameras import refusals
+from koala3d.capture.drivers.cameras.base import CameraDriver
+from koala3d.capture.drivers.cameras.nodes import Nodes, first, put, put_all
+from koala3d.capture.drivers.cameras.pixels import choose_format
+from koala3d.capture.drivers.cameras.start_state import load_default, set_colour_space, set_plain
+from koala3d.capture.drivers.errors import CaptureError
+from koala3d.datasets.imaging.region import Region
+
+AUTOMATICS = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto")
+"""Automatic functions, set to Off where they exist: nothing may change from picture to picture."""
+EXPOSURES = ("ExposureTime", "ExposureTimeAbs")
+GAINS = ("Gain", "GainAbs")
+TRIGGER = {"TriggerSelector": "FrameStart", "TriggerMode": "On", "TriggerSource": "Software"}
+CHANGE = "change the camera settings of the trajectory"
+
+
+class GenicamNodes(Nodes, Protocol):
+    """Settings by the names of the standard."""
+
+    def step(self, name: str) -> int:
+        """By how much a whole number must change."""
+        ...
+
+
+class GenicamCamera(CameraDriver):
+    """A camera with constant exposure and gain, triggered by software. What it lacks must be in `device.leave`."""
+
+    @property
+    @abstractmethod
+    def nodes(self) -> GenicamNodes:
+        """Its settings; it must be open."""
+
+    def set_exposure(self, exposure_us: float) -> None:
+        """Change the exposure time of the next pictures [us]. Raises CaptureError: the camera rejects it, or has none."""
+        self._require_open()
+        name = first(self.nodes, EXPOSURES)
+        if name is None or "exposure_us" in self.device.leave:
+            why = "it has no ExposureTime, or camera.leave names it"
+            remedy = "list exposure_us in camera.leave, and take no brackets"
+            raise CaptureError("camera takes no exposure time", where=self.name, why=why, remedy=remedy)
+        with self._named():
+            put(self.nodes, name, exposure_us, tolerance=refusals.SHARE * exposure_us + 1)
+
+    @property
+    def region(self) -> Region:
+        """The region of the sensor in the images, as read back."""
+        read = self._read
+        return Region(read("Width"), read("Height"), read("OffsetX", 0), read("OffsetY", 0), read("BinningHorizontal", 1))
+
+    def _configure(self) -> None:
+        """Bring the camera to its known state, then to the settings of the trajectory and of the rig file."""
+        wanted, nodes, leave, where = self.settings, self.nodes, self.device.leave, self.name
+        if "factory_settings" not in leave:
+            if not nodes.has("UserSetLoad"):
+                refusals.require_left(self.device, "factory_settings", "it has no UserSetLoad", where)
+            load_default(nodes)
+        set_plain(nodes)
+        for automatic in AUTOMATICS:
+            if nodes.has(automatic):
+                put(nodes, automatic, "Off")
+        put(nodes, "PixelFormat", choose_format(wanted.pixel_format, nodes.symbolics("PixelFormat"), where=where))
+        if "colour_space" not in leave:
+            set_colour_space(nodes, encoded=wanted.pixel_format == "rgb8")
+        self._set_region()
+        if "exposure_us" not in leave:
+            self.set_exposure(wanted.exposure_us)
+        if "gain_db" not in leave:
+            if (gain := first(nodes, GAINS)) is None:
+                refusals.require_left(self.device, "gain_db", "it has no Gain", where)
+            else:
+                put(nodes, gain, wanted.gain_db, tolerance=0.05)
+        if "trigger" not in leave:
+            if not nodes.has("TriggerMode"):
+                refusals.require_left(self.device, "trigger", "it has no TriggerMode", where)
+            for name, value in TRIGGER.items():
+                put(nodes, name, value)
+        put_all(nodes, self.device.settings, where)
+
+    def _set_region(self) -> None:
+        """Binning, then size and place of the region, centred unless the trajectory says where it is."""
+        wanted, nodes = self.settings, self.nodes
+        if wanted.binning > 1 or nodes.has("BinningHorizontal"):
+            for name in ("BinningHorizontal", "BinningVertical"):
+                put(nodes, name, wanted.binning)
+        for name in ("OffsetX", "OffsetY"):
+            if nodes.has(name):
+                put(nodes, name, 0)
+        edges = {"Width": (wanted.width, wanted.offset_x, "OffsetX"), "Height": (wanted.height, wanted.offset_y, "OffsetY")}
+        for name, (edge, offset, place) in edges.items():
+            available = self._edge(name)
+            put(nodes, name, edge)
+            if nodes.has(place):
+                step = nodes.step(place)
+                put(nodes, place, offset if offset is not None else max(available - edge, 0) // 2 // step * step)
+            elif offset:
+                why, remedy = f"offset {offset} was requested", "remove the offsets"
+                raise CaptureError(f"camera has no {place}", where=self.name, why=why, remedy=remedy)
+
+    def _edge(self, name: str) -> int:
+        """Width or height of the sensor [binned px]; that of the region if the camera does not say it."""
+        return int(self._read(f"{name}Max", self._read(name)))
+
+    @property
+    def _sensor(self) -> dict[str, int]:
+        binning = self.region.binning
+        return {"width": self._edge("Width") * binning, "height": self._edge("Height") * binning}
+
+    @property
+    def _exposure_us(self) -> float:
+        name = first(self.nodes, EXPOSURES)
+        return float(self.nodes.read(name)) if name else self.settings.exposure_us
+
+    @property
+    def _gain_db(self) -> float:
+        name = first(self.nodes, GAINS)
+        return float(self.nodes.read(name)) if name else self.settings.gain_db
+
+    def _read(self, name: str, default: Any = None) -> Any:
+        return self.nodes.read(name) if default is None or self.nodes.has(name) else default

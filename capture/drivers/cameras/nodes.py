@@ -1,0 +1,49 @@
+"""Settings of a camera by the names that it gives them, in most cases those of GenICam; each is read back where it is written."""
+
+from collections.abc import Callable, Collection, Mapping
+from typing import Any, Protocol
+
+from koala3d.capture.drivers.errors import CaptureError
+
+
+class Nodes(Protocol):
+    """A camera's settings."""
+
+    def has(self, name: str) -> bool:
+        """Whether the setting exists and can be read now."""
+        ...
+
+    def read(self, name: str) -> Any:
+        """Its value."""
+        ...
+
+    def symbolics(self, name: str) -> Collection[str]:
+        """The values of an enumeration; empty for a number."""
+        ...
+
+    def write(self, name: str, value: Any) -> None:
+        """Set it, or run it where it is a command and `value` is None. Raises CaptureError where the camera refuses."""
+        ...
+
+
+def put(nodes: Nodes, name: str, value: Any, *, tolerance: float = 0.0) -> None:
+    """Write a setting and read it back. Raises CaptureError: it has another value then."""
+    nodes.write(name, value)
+    actual = nodes.read(name)
+    if actual != value and not (tolerance and abs(actual - value) <= tolerance):
+        raise CaptureError(f"camera changed {name}", why=f"requested {value}, actual {actual}", remedy="use another setting")
+
+
+def put_all(nodes: Nodes, settings: Mapping[str, bool | int | float | str], where: str) -> None:
+    """Write the settings of a rig file in the given order. Raises CaptureError: one does not exist, is rejected or changed."""
+    for name, value in settings.items():
+        if not nodes.has(name):
+            why, remedy = f"{value} was requested", "look up its name in the camera's manual, or remove it from camera.settings"
+            raise CaptureError(f"camera has no setting {name}", where=where, why=why, remedy=remedy)
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        put(nodes, name, value, tolerance=1e-3 * abs(float(value)) + 1e-6 if is_number else 0.0)
+
+
+def first(nodes: Nodes, names: Collection[str], suits: Callable[[str], bool] = lambda name: True) -> str | None:
+    """The first of the names that the camera has and that `suits`."""
+    return next((name for name in names if nodes.has(name) and suits(name)), None)

@@ -1,0 +1,1 @@
+"""Turntables: the driver of Grbl controllers."""

@@ -1,0 +1,57 @@
+"""Opens the arm of a rig."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from koala3d.capture.drivers.protocols import Robot
+from koala3d.capture.model.rig import RigDescription
+from koala3d.capture.model.trajectory import Trajectory
+from koala3d.capture.rig.controllers import controller_of
+from koala3d.capture.rig.naming import describe
+from koala3d.datasets.core.errors import UsageError
+
+if TYPE_CHECKING:
+    from koala3d.capture.rig.controllers import Simulation
+
+
+def arm_of(
+    description: RigDescription, trajectory: Trajectory, controller: "Simulation | None", take_over: bool = False
+) -> Robot:
+    """The arm of a rig, not connected; `controller` is its simulation."""
+    from koala3d.capture.drivers.safety import Limits
+    from koala3d.capture.drivers.ur.link import Deadlines
+    from koala3d.capture.drivers.ur.robot import UniversalRobot
+    from koala3d.capture.drivers.ur.settling import Settling
+    from koala3d.capture.sim.kinematic_arm import KinematicArm
+
+    motion, robot, arm = trajectory.motion, description.robot, description.arm
+    limits = Limits.of(arm, robot.max_joint_speed, robot.max_joint_acceleration)
+    settling = Settling(motion.settle_spread, motion.settle_time_s, motion.settle_timeout_s)
+    if isinstance(controller, KinematicArm):
+        controller.limits, controller.settling = limits, settling
+        return controller
+    if arm.family != "ur":
+        remedy = "'--rig sim:NAME' simulates it; only arms of Universal Robots are driven"
+        raise UsageError(f"Koala has no driver for the {arm.name}", where="robot.model", remedy=remedy)
+    if controller is None:
+        return UniversalRobot(robot.host, limits=limits, settling=settling, client=robot.client, take_over=take_over)
+    patient = Deadlines(stale_s=2.0, watchdog_hz=0.5)  # rendering uses every core
+    options: dict[str, Any] = {"limits": limits, "settling": settling, "client": robot.client, "take_over": take_over}
+    return UniversalRobot(controller.host, deadlines=patient, frequency=125.0, **options)
+
+
+@contextmanager
+def open_arm(
+    name: str, trajectory: Trajectory, *, seed: int, links_seed: int, time_scale: float
+) -> Iterator[tuple[Robot, "Simulation | None"]]:
+    """Connect only the arm. The second value is the simulated controller, or None for a real arm.
+
+    Arguments as in `open_rig`. A simulated arm that is started here has the links of `links_seed` and the positioning errors
+    of `seed`.
+    """
+    description = describe(name)
+    hangs = trajectory.upwards < 0
+    with controller_of(name, description, hangs=hangs, seed=seed, time_scale=time_scale, links_seed=links_seed) as controller:
+        with arm_of(description, trajectory, controller) as robot:
+            yield robot, controller

@@ -1,0 +1,40 @@
+"""A rig that is connected."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koala3d.capture.drivers.protocols import Camera, GroundTruth, Robot, Turntable
+from koala3d.capture.model.carrier import Carrier
+from koala3d.capture.model.rig import RigDescription
+
+
+@dataclass(frozen=True)
+class Rig:
+    """An arm and its camera, both connected; with several cameras the rig as the first one has it."""
+
+    robot: Robot
+    camera: Camera
+    description: RigDescription
+    name: str  # "sim", "sim:NAME", or the name or path of the rig file
+    ground_truth: GroundTruth | None = None  # only in a simulation
+    extra: dict[str, Any] = field(default_factory=dict)  # more entries for the manifest: the scene and seed of a simulation
+    turntable: Turntable | None = None  # connected where the trajectory turns the object
+    cameras: "dict[str, Rig]" = field(default_factory=dict)  # the rig as each camera has it, by name; empty: there is one camera
+
+    @property
+    def each(self) -> "dict[str, Rig]":
+        """A copy of the rig for each camera, as if that were its only one, by the camera's name. The only camera of a rig is called ""."""
+        return self.cameras or {"": self}
+
+    @property
+    def carrier(self) -> Carrier:
+        """The arm with its camera and what stands around it."""
+        return self.description.carrier()
+
+    @property
+    def flange_from_camera(self) -> NDArray[np.float64]:
+        """(4, 4) nominal mount [m]; without meaning where the camera stands beside the arm."""
+        return self.description.flange_from_camera.matrix()

@@ -1,1 +1,0 @@
-"""Arms, each behind the `Robot` protocol of `capture.rig.protocols`."""

@@ -1,1 +1,0 @@
-"""Turntables: what a rig file says of one, and its drivers."""

@@ -1,0 +1,136 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from koala3d.capture.drivers.cameras.basler import TRIES, Basler
+from koala3d.capture.drivers.errors import CaptureError, RigConnectionError
+from koala3d.capture.model.device import Device
+from koala3d.capture.model.trajectory import CameraSettings
+from koala3d.datasets.imaging import images
+from koala3d.datasets.imaging.region import Region
+
+SMALL = CameraSettings(width=64, height=48, binning=4, exposure_us=2000, gain_db=3)
+
+
+@pytest.fixture
+def picture(tmp_path: Path) -> tuple[str, np.ndarray]:
+    pixels = np.random.default_rng(0).integers(0, 256, (48, 64, 3), dtype=np.uint8)
+    images.write(tmp_path / "fed.png", pixels)
+    return str(tmp_path / "fed.png"), pixels
+
+
+def test_a_picture_file_is_delivered_unchanged(picture):
+    path, pixels = picture
+    with Basler(SMALL, emulated=True) as camera:
+        camera.feed(path)
+        first, second = camera.grab(), camera.grab()
+    assert np.array_equal(first.pixels, pixels) and np.array_equal(second.pixels, pixels)
+    assert first.exposure_us == pytest.approx(2000, abs=1) and first.gain_db == pytest.approx(3, abs=0.01)
+    assert second.host_time_ns > first.host_time_ns
+
+
+def test_a_picture_stays_as_it_is_while_more_are_taken(picture, tmp_path):
+    """Pylon reuses its buffers."""
+    path, pixels = picture
+    with Basler(SMALL, emulated=True) as camera:
+        camera.feed(path)
+        kept = camera.grab()
+        images.write(tmp_path / "other.png", 255 - pixels)
+        camera.feed(str(tmp_path / "other.png"))
+        others = [camera.grab() for _ in range(12)]
+    assert np.array_equal(others[-1].pixels, 255 - pixels)  # the premise
+    assert np.array_equal(kept.pixels, pixels)
+
+
+@pytest.mark.parametrize(("name", "kind"), [("bayer8", np.uint8), ("bayer12", np.uint16)])
+def test_raw_formats_become_colours(tmp_path, name, kind):
+    """The emulation makes photosites of the picture's values as they are, so these are the linear ones."""
+    linear = np.zeros((48, 64, 3), np.uint8)
+    linear[:, :32], linear[:, 32:] = (200, 100, 40), (10, 240, 90)
+    images.write(tmp_path / "fed.png", linear)
+    with Basler(SMALL.model_copy(update={"pixel_format": name}), emulated=True) as camera:
+        camera.feed(str(tmp_path / "fed.png"))
+        pixels = camera.grab().pixels
+        described = camera.description()
+    assert described["pixel_format"].startswith("Bayer") and pixels.dtype == kind
+    wanted = images.srgb_from_linear(linear / 255)
+    inside = np.r_[4:28, 36:60]
+    np.testing.assert_allclose(pixels[4:-4, inside] / np.iinfo(kind).max, wanted[4:-4, inside], atol=0.006)
+
+
+def test_region_is_that_part_of_the_sensor():
+    with Basler(SMALL.model_copy(update={"offset_x": 16, "offset_y": 8}), emulated=True) as camera:
+        assert camera.region == Region(64, 48, 16, 8, 4)
+        assert camera.grab().pixels.shape == (48, 64, 3)
+
+
+def test_automatics_are_off_whatever_they_were_before():
+    from pypylon import pylon
+
+    other = pylon.InstantCamera(pylon.TlFactory.GetInstance().CreateFirstDevice())
+    other.Open()
+    other.ExposureAuto.Value, other.GainAuto.Value = "Continuous", "Continuous"
+    other.Close()
+    with Basler(SMALL, emulated=True) as camera:
+        state = camera.description()["state"]
+        assert (state["ExposureAuto"], state["GainAuto"]) == ("Off", "Off") and len(state) > 20
+
+
+def test_damaged_images_are_retried(picture):
+    path, pixels = picture
+    with Basler(SMALL, emulated=True) as camera:
+        camera.feed(path)
+        camera.break_next(TRIES - 1)
+        assert np.array_equal(camera.grab().pixels, pixels)
+        camera.break_next(TRIES)
+        with pytest.raises(CaptureError, match=r"damaged images in a row .*incomplete"):
+            camera.grab()
+        assert np.array_equal(camera.grab().pixels, pixels)  # and it works afterwards
+
+
+def test_description_holds_the_state_as_read_back():
+    with Basler(SMALL, emulated=True) as camera:
+        described = camera.description()
+    assert described["region"] == Region(64, 48, (480 - 64) // 2, (270 - 48) // 2, 4).to_json()
+    assert described["sensor"] == {"width": 1920, "height": 1080}
+    assert described["serial"] == "0815-0000" and described["exposure_us"] == pytest.approx(2000, abs=1)
+    state = described["state"]
+    assert described["pixel_format"] == "RGB8Packed" and state["ExposureAuto"] == "Off"
+    assert [value for key, value in state.items() if key.startswith("TriggerMode") and "FrameStart" in key] == ["On"]
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"binning": 5}, "BinningHorizontal.*requested 5.*1 to 4"),
+        ({"exposure_us": 3e7}, "ExposureTime.*requested 30000000"),
+        ({"gain_db": 60}, "Gain.*requested 60"),
+        ({"width": 5000}, "Width.*requested 5000"),
+        ({"offset_x": 4090, "width": 64}, "OffsetX.*requested 4090"),
+    ],
+)
+def test_a_rejected_setting_is_named_and_the_camera_closed(changed, words):
+    with pytest.raises(CaptureError, match=words):
+        Basler(SMALL.model_copy(update=changed), emulated=True).__enter__()
+    with Basler(SMALL, emulated=True):  # so it is free again
+        pass
+
+
+def test_a_missing_camera_is_an_error():
+    with pytest.raises(RigConnectionError, match=r"camera 123: no Basler camera was found .*check cable"):
+        Basler(SMALL, Device(serial="123"), emulated=True).__enter__()
+
+
+def test_a_camera_in_use_is_an_error():
+    with Basler(SMALL, emulated=True), pytest.raises(CaptureError):
+        Basler(SMALL.model_copy(update={"gain_db": 99.0}), emulated=True).__enter__()
+
+
+def test_closing_twice_is_harmless():
+    camera = Basler(SMALL, emulated=True)
+    camera.__enter__()
+    camera.__exit__(None, None, None)
+    camera.__exit__(None, None, None)
+    with Basler(SMALL, emulated=True) as again:
+        assert again.grab().pixels.any(), "the device is free for the next"
