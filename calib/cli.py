@@ -19,7 +19,6 @@ from koala3d.calib.options import (
     check_lens,
     spread,
 )
-from koala3d.calib.study import commands as study_commands
 from koala3d.calib.targets import commands as target_commands
 from koala3d.calib.together import commands as together_commands
 from koala3d.calib.turntable import commands as turntable_commands
@@ -77,11 +76,11 @@ def compare_command(rig: Rig, json: Json = False) -> None:
 
     Prints a table (Markdown) with the error of each method on views held out of its fit.
     """
-    from koala3d.calib.study import compare
+    from koala3d.calib import comparison
 
     accuracy = rig.accuracy()
-    rows = compare.compare(*rig.read(), accuracy, rig.lens)
-    console.report({"methods": [vars(row) for row in rows]}, as_json=json, text=compare.markdown(rows))
+    rows = comparison.compare(*rig.read(), accuracy, rig.lens)
+    console.report({"methods": [vars(row) for row in rows]}, as_json=json, text=comparison.markdown(rows))
 
 
 @app.command("verify")
@@ -168,7 +167,7 @@ def plan_command(
     They lie in the box of the recorded camera positions. Check with 'capture plan' whether the arm can reach them.
     """
     from koala3d.calib import calibrate
-    from koala3d.calib.study import next_views
+    from koala3d.calib.advice import next_views
     from koala3d.datasets.recording import Recording
 
     accuracy = rig.accuracy()
@@ -205,8 +204,8 @@ def advise_command(
     """
     import sys
 
+    from koala3d.calib.advice.rehearsal import Rehearsed
     from koala3d.calib.advice.serve import Recorded, serve
-    from koala3d.calib.study.rehearsal import Rehearsed
     from koala3d.datasets.calibration import Calibration
 
     check_lens(lens)
@@ -258,12 +257,6 @@ app.command("turntable")(turntable_commands.turntable)
 
 
 app.command("board")(target_commands.board)
-
-
-app.command("bench")(study_commands.bench)
-
-
-app.command("study")(study_commands.study)
 
 
 def _check_out(out: Path) -> None:

@@ -139,7 +139,6 @@ def report(
 
 
 @app.command()
-@app.command("convert")
 def export(
     scene: options.Scene,
     format: Annotated[
@@ -186,69 +185,6 @@ def truth(
         numbers = "{camera_mm:.3f} mm, {camera_deg:.4f} deg (median of {frames}, arm errors included)".format(**found)
         text += f"error of the camera poses: {numbers}"
     console.report(found, as_json=as_json, text=text)
-
-
-@app.command()
-def bench(
-    count: Annotated[int, typer.Option(help="Number of images to read.")] = 50,
-    suffix: Annotated[str, typer.Option(help="Their format: .png, .jpg, .tif or .exr.")] = ".png",
-    as_json: Json = False,
-) -> None:
-    """Measure how long it takes to read 1920x1080 images and shrink them by four."""
-    from koala3d.datasets.imaging.bench import read_and_shrink
-
-    found = read_and_shrink(count, suffix=suffix)
-    text = (
-        "{images:.0f} images of {width:.0f}x{height:.0f} ({file_mb:.1f} MB each) read and shrunk to "
-        "{small_width:.0f}x{small_height:.0f} in {seconds:.2f} s ({cpu_seconds:.2f} s of CPU time); "
-        "peak memory grew by {peak_growth_mb:.1f} MB after the first ten"
-    )
-    console.report(found, as_json=as_json, text=text.format(**found))
-
-
-@app.command("bench-check")
-def bench_check(
-    scenes: Annotated[list[Path] | None, typer.Argument(metavar="SCENE...", help="Good scenes to injure.")] = None,
-    injuries: Annotated[list[str] | None, typer.Option("--injury", help="Injury to include; repeatable.")] = None,
-    lights: Annotated[bool, typer.Option("--lights/--no-lights", help="Also simulate lamps that do not stand still.")] = True,
-    as_json: Json = False,
-) -> None:
-    """Injure good scenes in every way at three strengths, and count what 'datasets check' names."""
-    from koala3d.datasets.core.errors import UsageError, nearest
-    from koala3d.datasets.formats import load_scene
-    from koala3d.datasets.injuries.bench import table, trials
-    from koala3d.datasets.injuries.injure import INJURIES
-
-    names = {one.name: one for one in INJURIES}
-    for name in injuries or ():
-        if name not in names:
-            raise UsageError(f"there is no injury '{name}'", where="--injury", remedy=nearest(name, names))
-    chosen = [names[name] for name in injuries] if injuries else list(INJURIES)
-    loaded = [load_scene(path, measure=True) for path in scenes or ()]
-    with console.progress("checking", len(loaded) * (1 + 3 * len(chosen)) + 6 * lights, "trials") as shown:
-        found = list(trials(loaded, injuries=chosen, lights=lights, done=shown.advance))
-    console.report({"trials": [vars(trial) for trial in found]}, as_json=as_json, text=table(found))
-
-
-@app.command("bench-reading")
-def bench_reading(
-    count: Annotated[int, typer.Option(help="Number of photographs of 16 megapixels.", min=1)] = 57,
-    scale: Annotated[float, typer.Option(help="Share of their size at which they are read.", min=0.001, max=1.0)] = 0.1,
-    as_json: Json = False,
-) -> None:
-    """Measure how long it takes to read photographs at a smaller size, as training does, and compare it with OpenCV."""
-    from koala3d.datasets.imaging.bench import read_photographs
-
-    found = read_photographs(count, scale=scale)
-    found["ratio"] = found["seconds"] / found["opencv_seconds"]
-    text = (
-        "{images:.0f} photographs of {width:.0f}x{height:.0f} ({file_mb:.1f} MB each) read at {small_width:.0f}x"
-        "{small_height:.0f} in {seconds:.2f} s ({cpu_seconds:.2f} s of CPU time), {ratio:.2f} times OpenCV's "
-        "{opencv_seconds:.2f} s ({opencv_cpu_seconds:.2f}); from their copies in {again_seconds:.2f} s "
-        "({again_cpu_seconds:.2f}); differences from decoding all pixels: {largest_difference:.2f} of 255 at most, "
-        "{mean_difference:.2f} on average"
-    )
-    console.report(found, as_json=as_json, text=text.format(**found))
 
 
 commands.add_to(app)

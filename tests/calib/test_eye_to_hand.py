@@ -8,12 +8,12 @@ import pytest
 from koala3d.calib import calibrate
 from koala3d.calib.advice.adviser import Adviser, Wanted
 from koala3d.calib.advice.hints import hints
+from koala3d.calib.advice.simulate import KOALA
 from koala3d.calib.errors import Unobservable
 from koala3d.calib.handeye import model, refine, uncertainty, verify
 from koala3d.calib.handeye.model import Accuracy, Session, State
 from koala3d.calib.intrinsics import projection
 from koala3d.calib.sessions.session import TargetSession
-from koala3d.calib.study.simulate import KOALA
 from koala3d.calib.targets.detection import Observation
 from koala3d.datasets import pose
 from koala3d.datasets.calibration import Calibration

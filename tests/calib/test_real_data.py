@@ -13,7 +13,6 @@ from koala3d.calib.handeye.model import Accuracy
 from koala3d.calib.intrinsics import estimate
 from koala3d.calib.page.summary import notes
 from koala3d.calib.sessions import importer
-from koala3d.calib.study import compare
 from koala3d.datasets import pose
 from koala3d.datasets.calibration import Calibration
 
@@ -62,7 +61,7 @@ def closed_form(session, camera, method):
 
 
 def by_name(session, camera):
-    return {row.name: row for row in compare.compare(session, Calibration(camera, {}), ARM)}
+    return {row.name: row for row in comparison.compare(session, Calibration(camera, {}), ARM)}
 
 
 def test_park_gives_the_published_answer_for_visp(visp):

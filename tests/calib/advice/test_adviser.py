@@ -3,10 +3,11 @@ import pytest
 
 from koala3d.calib.advice import hints, information
 from koala3d.calib.advice.adviser import Adviser, Wanted
+from koala3d.calib.advice.patterns import Pattern, viewpoints
+from koala3d.calib.advice.rehearsal import Rehearsed, draw_rig
+from koala3d.calib.advice.simulate import KOALA
 from koala3d.calib.errors import CalibrationError, Unobservable
 from koala3d.calib.sessions.session import TargetSession
-from koala3d.calib.study.rehearsal import Rehearsed, draw_rig
-from koala3d.calib.study.simulate import KOALA, Pattern, viewpoints
 from koala3d.datasets import pose
 from koala3d.datasets.advice import Question
 

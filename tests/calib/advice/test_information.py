@@ -5,11 +5,12 @@ import pytest
 
 from koala3d.calib.advice import information
 from koala3d.calib.advice.information import Known
+from koala3d.calib.advice.patterns import Pattern, viewpoints
+from koala3d.calib.advice.simulate import KOALA
 from koala3d.calib.handeye import model, refine
 from koala3d.calib.handeye.model import Accuracy, Session, State
 from koala3d.calib.handeye.refine import Sigmas
 from koala3d.calib.intrinsics import projection
-from koala3d.calib.study.simulate import KOALA, Pattern, viewpoints
 from koala3d.datasets import pose
 from koala3d.datasets.calibration import UncertainPose
 

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from koala3d.calib import calibrate
+from koala3d.calib.advice.patterns import Pattern, viewpoints
+from koala3d.calib.advice.simulate import KOALA, simulate, target_session
 from koala3d.calib.handeye import flips
 from koala3d.calib.handeye.model import Accuracy
 from koala3d.calib.intrinsics import estimate
-from koala3d.calib.study import variants
-from koala3d.calib.study.simulate import KOALA, Pattern, simulate, viewpoints
+from koala3d.calib.sessions.session import TargetSession
 from koala3d.datasets import pose
 from koala3d.datasets.targets.board import Board
 
@@ -20,7 +21,7 @@ def spoilt(seed, roll=(-180.0, 180.0)):
     """(simulated, session in which every second view is read upside down, which)."""
     rng = np.random.default_rng([4, seed])
     simulated = simulate(rng, AMBIGUOUS, viewpoints(rng, AMBIGUOUS, 14, Pattern(roll_deg=roll)), sigma_px=0.1, arm=ARM)
-    session, turned = variants.target_session(simulated), rng.random(14) < 0.5
+    session, turned = target_session(simulated), rng.random(14) < 0.5
     points = AMBIGUOUS.board.points
     last = len(points) - 1
     observations = [
@@ -60,6 +61,6 @@ def test_half_a_turn_maps_the_board_to_itself():
 
 def test_other_boards_are_left_alone(simulate):
     simulated = simulate(seed=3, views=8)
-    session = variants.TargetSession(simulated.board, 960, 600, tuple(simulated.observations), simulated.reported)
+    session = TargetSession(simulated.board, 960, 600, tuple(simulated.observations), simulated.reported)
     boards = estimate.camera_from_boards(simulated.camera, session.observations)
     assert flips.resolve(session, boards)[0] is session

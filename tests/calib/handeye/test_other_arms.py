@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from koala3d.calib import calibrate
+from koala3d.calib.advice.patterns import Pattern, viewpoints
+from koala3d.calib.advice.simulate import KOALA
 from koala3d.calib.errors import CalibrationError
 from koala3d.calib.handeye import links, model, uncertainty
 from koala3d.calib.handeye.model import Accuracy, State
 from koala3d.calib.intrinsics import projection
 from koala3d.calib.sessions.session import TargetSession
-from koala3d.calib.study.simulate import KOALA, Pattern, viewpoints
 from koala3d.calib.targets.detection import Observation
 from koala3d.capture.arms.model import ArmModel, load_arm
 from koala3d.datasets import kinematics, pose

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from koala3d.calib import calibrate
+from koala3d.calib.advice.patterns import Pattern, viewpoints
+from koala3d.calib.advice.simulate import KOALA, simulate
 from koala3d.calib.handeye.model import Accuracy
 from koala3d.calib.sessions.session import TargetSession
-from koala3d.calib.study.simulate import KOALA, Pattern, simulate, viewpoints
 from koala3d.datasets import pose
 from koala3d.datasets.targets.board import Board
 

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from koala3d.calib import calibrate
+from koala3d.calib.advice.patterns import Pattern, Rig, viewpoints
+from koala3d.calib.advice.simulate import KOALA, simulate
 from koala3d.calib.errors import TargetError
 from koala3d.calib.handeye.model import Accuracy
 from koala3d.calib.handeye.verify import verify
 from koala3d.calib.intrinsics import projection
 from koala3d.calib.page import evidence, maps, report, summary
 from koala3d.calib.sessions.session import TargetSession
-from koala3d.calib.study.simulate import KOALA, Pattern, Rig, simulate, viewpoints
 from koala3d.datasets.calibration import Calibration
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.reports.html import ReportPage

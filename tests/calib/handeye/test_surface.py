@@ -7,13 +7,13 @@ import pytest
 
 from koala3d.calib import calibrate
 from koala3d.calib.advice.patterns import Pattern, viewpoints
+from koala3d.calib.advice.simulate import KOALA, simulate
 from koala3d.calib.handeye import model, surface
 from koala3d.calib.handeye.model import Accuracy, State
 from koala3d.calib.intrinsics import projection
 from koala3d.calib.options import Arm, Inexact
 from koala3d.calib.page.summary import describe_calibration
 from koala3d.calib.sessions.session import TargetSession
-from koala3d.calib.study.simulate import KOALA, simulate
 from koala3d.datasets import pose
 from koala3d.datasets.calibration import Calibration
 from koala3d.datasets.core.errors import UsageError

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from koala3d.calib import calibrate
+from koala3d.calib.advice import simulate as without_pictures
+from koala3d.calib.advice.simulate import target_session
 from koala3d.calib.errors import Unobservable
 from koala3d.calib.handeye import refine, uncertainty
 from koala3d.calib.handeye.model import Accuracy
 from koala3d.calib.page import summary
-from koala3d.calib.study import simulate as without_pictures
-from koala3d.calib.study.variants import target_session
 from koala3d.datasets import pose
 
 FREE = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")

@@ -1,10 +1,11 @@
 import numpy as np
 import pytest
 
+from koala3d.calib.advice.patterns import Pattern, viewpoints
+from koala3d.calib.advice.simulate import KOALA, simulate
 from koala3d.calib.errors import CalibrationError
 from koala3d.calib.handeye.model import Accuracy
 from koala3d.calib.intrinsics import bundle, projection
-from koala3d.calib.study.simulate import KOALA, Pattern, simulate, viewpoints
 from koala3d.datasets import pose
 
 FREE = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")

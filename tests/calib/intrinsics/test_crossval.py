@@ -3,9 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from koala3d.calib.advice.patterns import Pattern, viewpoints
+from koala3d.calib.advice.simulate import ARM, KOALA, simulate
 from koala3d.calib.intrinsics import crossval, estimate, lenses
-from koala3d.calib.study.simulate import KOALA, Pattern, simulate, viewpoints
-from koala3d.calib.study.variants import ARM
 
 CAMERA = KOALA.camera
 

@@ -3,13 +3,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from koala3d.calib.advice.patterns import Pattern, viewpoints
+from koala3d.calib.advice.rehearsal import ARM, draw_rig
+from koala3d.calib.advice.simulate import simulate as simulate_session
+from koala3d.calib.advice.simulate import target_session
 from koala3d.calib.errors import TargetError, Unobservable
 from koala3d.calib.handeye.model import camera_points
 from koala3d.calib.intrinsics import estimate, lenses, projection
-from koala3d.calib.study.rehearsal import ARM, draw_rig
-from koala3d.calib.study.simulate import Pattern, viewpoints
-from koala3d.calib.study.simulate import simulate as simulate_session
-from koala3d.calib.study.variants import target_session
 from koala3d.datasets import pose
 from koala3d.datasets.camera_model import Camera
 

@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from koala3d.calib.advice.patterns import Pattern, viewpoints
+from koala3d.calib.advice.simulate import KOALA, simulate
 from koala3d.calib.errors import TargetError
 from koala3d.calib.handeye.model import Accuracy
 from koala3d.calib.intrinsics import estimate, lenses, projection, splined
-from koala3d.calib.study.simulate import KOALA, Pattern, simulate, viewpoints
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.spline import Grid, Spline
 

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from koala3d.calib import calibrate
+from koala3d.calib.advice.patterns import Pattern, viewpoints
+from koala3d.calib.advice.simulate import ARM, KOALA, simulate, target_session
 from koala3d.calib.handeye import refine
 from koala3d.calib.intrinsics import estimate
 from koala3d.calib.page.evidence import ALONE, CORRECTED, REPORTED, Evidence, gather, recording_of
 from koala3d.calib.page.view import ARROW, between_green_and_red, overall, with_arrows
 from koala3d.calib.sessions.session import TargetSession
-from koala3d.calib.study import variants
-from koala3d.calib.study.simulate import KOALA, Pattern, simulate, viewpoints
 from koala3d.datasets import pose
 from koala3d.datasets.calibration import Calibration
 from koala3d.datasets.core.errors import UsageError
@@ -91,9 +91,9 @@ def test_another_recording_is_named_as_such(calibration, session) -> None:
 
 def test_an_ambiguous_board_is_read_as_the_calibration_has_it() -> None:
     rig, rng = replace(KOALA, board=Board.of("chessboard", 9, 7, 0.03)), np.random.default_rng(4)
-    simulated = simulate(rng, rig, viewpoints(rng, rig, 12, Pattern()), sigma_px=0.1, arm=variants.ARM)
-    session = variants.target_session(simulated)
-    found = calibrate.calibrate_handeye(session, accuracy=variants.ARM)
+    simulated = simulate(rng, rig, viewpoints(rng, rig, 12, Pattern()), sigma_px=0.1, arm=ARM)
+    session = target_session(simulated)
+    found = calibrate.calibrate_handeye(session, accuracy=ARM)
     last = len(rig.board.points) - 1
     turned = [replace(o, ids=last - o.ids, points=rig.board.points[last - o.ids]) for o in session.observations[::2]]
     mixed = [turned[i // 2] if i % 2 == 0 else o for i, o in enumerate(session.observations)]

@@ -9,19 +9,19 @@ import pytest
 from typer.testing import CliRunner
 
 from koala3d.calib import calibrate
+from koala3d.calib.advice.rehearsal import draw_rig
 from koala3d.calib.cli import app
 from koala3d.calib.page import maps
-from koala3d.calib.study import coverage
-from koala3d.calib.study.rehearsal import draw_rig
 from koala3d.datasets import pose
 from koala3d.datasets.calibration import Calibration
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.kinematics import UR5E
+from tests.calib import drawn_arms
 
 
 @pytest.fixture(scope="module")
 def session():
-    return coverage.drawn(np.random.default_rng(3), draw_rig(3), UR5E, 14)
+    return drawn_arms.drawn(np.random.default_rng(3), draw_rig(3), UR5E, 14)
 
 
 @pytest.fixture(scope="module")

@@ -11,10 +11,10 @@ import pytest
 from PIL import Image
 
 from koala3d.calib import calibrate
+from koala3d.calib.advice.patterns import Pattern, viewpoints
+from koala3d.calib.advice.simulate import ARM, KOALA, simulate, target_session
 from koala3d.calib.page import report
 from koala3d.calib.page.evidence import gather
-from koala3d.calib.study import variants
-from koala3d.calib.study.simulate import KOALA, Pattern, simulate, viewpoints
 from koala3d.datasets import pose
 from koala3d.datasets.calibration import Calibration
 from koala3d.datasets.core.errors import UsageError
@@ -24,12 +24,12 @@ from koala3d.datasets.reports.html import Number, ReportPage
 def evidence_of(given=None):
     """Of a session in which view 005 is 10 mm off and view 012 shows no target."""
     rng = np.random.default_rng(0)
-    simulated = simulate(rng, KOALA, viewpoints(rng, KOALA, 12, Pattern()), sigma_px=0.1, arm=variants.ARM)
-    session = variants.target_session(simulated)
+    simulated = simulate(rng, KOALA, viewpoints(rng, KOALA, 12, Pattern()), sigma_px=0.1, arm=ARM)
+    session = target_session(simulated)
     reported = session.base_from_flange.copy()
     reported[5] = reported[5] @ pose.from_rotation_vector([0, 0, 0], [0.01, 0, 0])
     session = replace(session, base_from_flange=reported, unseen=("<b>012",))
-    return gather(calibrate.calibrate_handeye(session, given, variants.ARM), session)
+    return gather(calibrate.calibrate_handeye(session, given, ARM), session)
 
 
 @pytest.fixture(scope="module")

@@ -9,10 +9,10 @@ from scipy.stats import chi2
 
 from koala3d.calib import calibrate
 from koala3d.calib.advice.patterns import Pattern, viewpoints
+from koala3d.calib.advice.simulate import KOALA
 from koala3d.calib.errors import CalibrationError, Unobservable
 from koala3d.calib.handeye.model import Accuracy
 from koala3d.calib.sessions.session import TargetSession
-from koala3d.calib.study.simulate import KOALA
 from koala3d.calib.targets.detection import Observation
 from koala3d.calib.together.boards import Boards, calibrate_boards
 from koala3d.datasets import pose

@@ -8,13 +8,13 @@ from scipy.stats import chi2
 
 from koala3d.calib import calibrate
 from koala3d.calib.advice.patterns import Pattern, viewpoints
+from koala3d.calib.advice.simulate import KOALA
 from koala3d.calib.errors import CalibrationError
 from koala3d.calib.handeye import model
 from koala3d.calib.handeye.model import Accuracy
 from koala3d.calib.handeye.surface import FLAT
 from koala3d.calib.intrinsics import projection
 from koala3d.calib.sessions.session import TargetSession
-from koala3d.calib.study.simulate import KOALA
 from koala3d.calib.targets.detection import Observation
 from koala3d.calib.together.cameras import Cameras, calibrate_cameras
 from koala3d.calib.together.model import Together, TogetherState

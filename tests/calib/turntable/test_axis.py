@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
+from koala3d.calib.advice.simulate import KOALA
 from koala3d.calib.errors import CalibrationError, Unobservable
 from koala3d.calib.intrinsics import projection
 from koala3d.calib.sessions.session import TargetSession
-from koala3d.calib.study.simulate import KOALA
 from koala3d.calib.targets.detection import Observation
 from koala3d.calib.turntable.axis import find
 from koala3d.datasets import pose

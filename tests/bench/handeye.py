@@ -4,7 +4,7 @@ A point of the benchmark is a noise level and a number of views. Each trial is o
 from its corners by least squares. The bound is the smallest covariance of any unbiased method: the inverse information at the
 truth. Errors of a finite sample scatter around it by several percent. The efficient estimator, known only to a simulation, is
 therefore measured as well: it is the truth plus one Gauss-Newton step on the same noise, and shows how lucky the draws were
-(`calib.study.ratios`). Times are those of the processor.
+(`tests.bench.ratios`). Times are those of the processor.
 
 The best of seven closed forms in a few hundred trials is partly the luckiest. The refinement is therefore compared with the
 one that was best in the other half of the trials, and points where the two are nearly equal get more trials.
@@ -14,20 +14,26 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
+from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+import typer
 
+from koala3d.calib.advice.patterns import Pattern, Rig, viewpoints
+from koala3d.calib.advice.simulate import KOALA, Simulated, simulate
 from koala3d.calib.arrays import Array
 from koala3d.calib.handeye import closed_forms, refine
 from koala3d.calib.handeye.model import Accuracy, State
 from koala3d.calib.intrinsics import bundle
 from koala3d.calib.solver.geometry import rms_difference
-from koala3d.calib.study import ratios
-from koala3d.calib.study.ratios import Ratio
-from koala3d.calib.study.simulate import KOALA, Pattern, Rig, Simulated, simulate, viewpoints
 from koala3d.datasets.calibration import UncertainPose
+from koala3d.datasets.core import console
 from koala3d.datasets.core.errors import KoalaError
+from koala3d.datasets.core.files import refuse_existing
 from koala3d.datasets.targets.board import Board
+from tests.bench import ratios
+from tests.bench.ratios import Ratio
 
 RIG = replace(KOALA, board=Board.of("chessboard", 7, 6, 0.04))  # the Koala rig with a board of 30 corners, seen whole
 REFINED, DRAWN, BOUND = "refinement", "bound as drawn", "bound"
@@ -246,3 +252,24 @@ def bound(drawn: Simulated, sigmas: refine.Sigmas) -> Array:
     inverse = np.linalg.inv(refine.linear_system(drawn.session, drawn.truth, sigmas).root)
     stated = UncertainPose(drawn.truth.mount_from_camera, (inverse @ inverse.T)[-12:-6, -12:-6])
     return np.square(np.array(stated.total_std) * [1e-3, np.deg2rad(1)])
+
+
+def main(
+    out: Annotated[Path, typer.Option("--out", help="Folder to write: bench.csv, bench.md, bench.png.")],
+    quick: Annotated[bool, typer.Option("--quick", help="Measure a few points in one minute instead of all in 45.")] = False,
+    trials: Annotated[int, typer.Option("--trials", min=2, help="Sessions per point.")] = 200,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the noise.")] = 0,
+) -> None:
+    """Measure run time and error of all hand-eye methods on simulated sessions without pictures."""
+    from tests.bench import handeye_report
+
+    refuse_existing(out)
+    points = quick_grid() if quick else full_grid()
+    with console.progress("measuring", len(points), "points") as bar:
+        results = list(run(points, trials, seed, done=lambda result: bar.advance()))
+    handeye_report.write(out, results)
+    print(f"{handeye_report.describe(results)}\nwritten to {out}")
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -4,18 +4,22 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+import typer
 
 from koala3d.datasets.checks import coverage
 from koala3d.datasets.checks.evidence import VIEWS, Evidence
 from koala3d.datasets.checks.matches import check_evidence
+from koala3d.datasets.core import console
 from koala3d.datasets.core.findings import Finding
 from koala3d.datasets.core.progress import Step, ignore
+from koala3d.datasets.formats import load_scene
 from koala3d.datasets.imaging import images
-from koala3d.datasets.injuries.injure import INJURIES, Injury, whole
-from koala3d.datasets.injuries.studio import Studio, write
 from koala3d.datasets.scene import Scene
+from tests.bench.injure import INJURIES, Injury, whole
+from tests.bench.studio import Studio, write
 
 SIDE = 400
 """Pictures are shrunk to this many pixels a side. As many views are used as the checks look at, evenly spread."""
@@ -140,3 +144,19 @@ def table(found: Sequence[Trial]) -> str:
     said = [trial for trial in found if trial.injury == "none"]
     lines += [f"untouched {trial.scene}: {line}" for trial in said for line in (trial.others or ("nothing",))]
     return "\n".join(line.rstrip() for line in lines)
+
+
+def main(
+    scenes: Annotated[list[Path] | None, typer.Argument(metavar="SCENE...", help="Good scenes to injure.")] = None,
+    injuries: Annotated[list[str] | None, typer.Option("--injury", help="Injury to include; repeatable.")] = None,
+    lights: Annotated[bool, typer.Option("--lights/--no-lights", help="Also simulate lamps that do not stand still.")] = True,
+) -> None:
+    """Injure good scenes in every way at three strengths, and count what 'datasets check' names."""
+    chosen = [one for one in INJURIES if not injuries or one.name in injuries]
+    loaded = [load_scene(path, measure=True) for path in scenes or ()]
+    with console.progress("checking", len(loaded) * (1 + 3 * len(chosen)) + 6 * lights, "trials") as shown:
+        print(table(list(trials(loaded, injuries=chosen, lights=lights, done=shown.advance))))
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from koala3d.calib.study import ratios
+from tests.bench import ratios
 
 
 def test_a_ratio_and_its_interval():

@@ -6,9 +6,11 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Annotated
 
 import cv2
 import numpy as np
+import typer
 
 from koala3d.datasets.imaging import downscale, images, reduced
 from koala3d.datasets.imaging.copies import Copies
@@ -104,3 +106,18 @@ def _seconds(read: Callable[[Path], np.ndarray], paths: list[Path]) -> tuple[flo
     for _ in downscale.streamed(read, paths, workers=reduced.READERS):
         pass
     return time.perf_counter() - start, time.process_time() - start_cpu
+
+
+def main(
+    count: Annotated[int, typer.Option(help="Number of photographs of 16 megapixels.", min=1)] = 57,
+    scale: Annotated[float, typer.Option(help="Share of their size at which they are read.", min=0.001, max=1.0)] = 0.1,
+    shrink: Annotated[bool, typer.Option("--shrink", help="Read pictures of 1920x1080 and shrink them by four instead.")] = False,
+    suffix: Annotated[str, typer.Option(help="Format of these: .png, .jpg, .tif or .exr.")] = ".png",
+) -> None:
+    """Measure how long it takes to read photographs at a smaller size, as training does, and compare it with OpenCV."""
+    found = read_and_shrink(count, suffix=suffix) if shrink else read_photographs(count, scale=scale)
+    print("\n".join(f"{name:<20}{value:.3f}" for name, value in found.items()))
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -12,23 +12,21 @@ import numpy as np
 from koala3d.calib.advice import information
 from koala3d.calib.advice.adviser import Adviser, Wanted
 from koala3d.calib.advice.information import Known
+from koala3d.calib.advice.patterns import Rig
 from koala3d.calib.advice.serve import answered
+from koala3d.calib.advice.simulate import ARM, KOALA, SIGMA_PX, simulate
 from koala3d.calib.arrays import Array
 from koala3d.calib.handeye import model
-from koala3d.calib.handeye.model import Accuracy
 from koala3d.calib.handeye.refine import Sigmas
 from koala3d.calib.intrinsics import lenses, projection
 from koala3d.calib.sessions.session import TargetSession
 from koala3d.calib.solver.geometry import rms_difference
-from koala3d.calib.study.simulate import KOALA, Rig, simulate
 from koala3d.calib.targets.detection import Observation
 from koala3d.datasets import pose
 from koala3d.datasets.advice import Answer, Figures, Question
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core.errors import UsageError
 
-SIGMA_PX = 0.1
-ARM = Accuracy(3e-5, float(np.deg2rad(0.005)))
 FOCAL_PX = 1272.7  # a 2.8 mm lens over pixels of 2.2 um
 
 

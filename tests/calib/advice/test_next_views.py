@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from koala3d.calib import calibrate
+from koala3d.calib.advice import next_views
 from koala3d.calib.advice.information import Known, informations
+from koala3d.calib.advice.patterns import Pattern, viewpoints
+from koala3d.calib.advice.simulate import ARM, KOALA, simulate, target_session
 from koala3d.calib.errors import CalibrationError
-from koala3d.calib.study import next_views, variants
-from koala3d.calib.study.simulate import KOALA, Pattern, simulate, viewpoints
 from koala3d.datasets import pose
 from koala3d.datasets.targets.board import Board
 
@@ -18,8 +19,8 @@ RIG = replace(KOALA, board=Board.of("charuco", 12, 9, 0.03, 0.022))
 def solved():
     """(simulated, solution) of a session with weak tilts."""
     rng = np.random.default_rng(0)
-    simulated = simulate(rng, RIG, viewpoints(rng, RIG, 10, Pattern((5.0, 18.0))), sigma_px=0.1, arm=variants.ARM)
-    return simulated, calibrate.solve(variants.target_session(simulated), accuracy=variants.ARM)
+    simulated = simulate(rng, RIG, viewpoints(rng, RIG, 10, Pattern((5.0, 18.0))), sigma_px=0.1, arm=ARM)
+    return simulated, calibrate.solve(target_session(simulated), accuracy=ARM)
 
 
 def test_advised_views_bring_what_they_promise(solved):
@@ -30,9 +31,7 @@ def test_advised_views_bring_what_they_promise(solved):
     # taken for real they leave the uncertainty that was promised: the estimated arm accuracy changes a little
     rng = np.random.default_rng(1)
     both = np.concatenate([simulated.base_from_camera, found.base_from_camera])
-    again = calibrate.solve(
-        variants.target_session(simulate(rng, RIG, both, sigma_px=0.1, arm=variants.ARM)), accuracy=variants.ARM
-    )
+    again = calibrate.solve(target_session(simulate(rng, RIG, both, sigma_px=0.1, arm=ARM)), accuracy=ARM)
     now = next_views._deviations(again.fit.refined.information, again.fit.refined.state)
     assert now[0] == pytest.approx(found.after[-1][0], rel=0.3)
 

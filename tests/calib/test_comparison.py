@@ -3,10 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from koala3d.calib import comparison
+from koala3d.calib.advice.patterns import Pattern, viewpoints
+from koala3d.calib.advice.simulate import KOALA, simulate, target_session
 from koala3d.calib.handeye import closed_forms, verify
 from koala3d.calib.handeye.model import Accuracy
-from koala3d.calib.study import compare, variants
-from koala3d.calib.study.simulate import KOALA, Pattern, simulate, viewpoints
+from koala3d.calib.sessions.session import TargetSession
 from koala3d.datasets import pose
 
 ARM = Accuracy(2e-4, float(np.deg2rad(0.03)))
@@ -18,9 +20,9 @@ def rows():
     simulated = simulate(rng, KOALA, viewpoints(rng, KOALA, 15, Pattern()), sigma_px=0.2, arm=ARM)
     reported = simulated.session.base_from_flange.copy()
     reported[6] = reported[6] @ pose.from_rotation_vector([0, 0, 0], [0.004, 0, 0])
-    session = variants.target_session(simulated)
-    session = variants.TargetSession(session.board, 1920, 1080, session.observations, reported)
-    return simulated, compare.compare(session, accuracy=ARM)
+    session = target_session(simulated)
+    session = TargetSession(session.board, 1920, 1080, session.observations, reported)
+    return simulated, comparison.compare(session, accuracy=ARM)
 
 
 def test_every_method_is_judged(rows):
@@ -47,7 +49,7 @@ def test_residual_is_that_of_the_arm(rows):
 
 def test_table_has_a_row_per_method(rows):
     _, found = rows
-    text = compare.markdown([*found, compare.Judged("none", None, *[np.nan] * 6, 3)])
+    text = comparison.markdown([*found, comparison.Judged("none", None, *[np.nan] * 6, 3)])
     assert text.count("\n") == len(found) + 2 and "| none | 3 | no answer" in text
 
 

@@ -11,9 +11,9 @@ import numpy as np
 
 from koala3d.calib.arrays import Array
 from koala3d.calib.handeye import closed_forms
-from koala3d.calib.study.bench import BOUND, EXACT, REFINED, Errors, Point, Result
-from koala3d.calib.study.ratios import Ratio
 from koala3d.datasets.core import files
+from tests.bench.handeye import BOUND, EXACT, REFINED, Errors, Point, Result
+from tests.bench.ratios import Ratio
 
 TIE = 1.005  # a thousand trials cannot distinguish methods whose errors differ by less than 0.5 %
 ROUNDING = 1e-4  # an arm without error is stated as accurate to 1 um and 1e-4 degrees, which causes differences of this size

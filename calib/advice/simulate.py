@@ -1,6 +1,6 @@
 """Target sessions without pictures: true corners, with noise on the corners and on the arm's reports.
 
-Benchmarks and studies use them. The arm's error is that of `calib.handeye.model`: the true flange is the reported one moved
+Rehearsals, benchmarks and tests use them. The arm's error is that of `calib.handeye.model`: the true flange is the reported one moved
 by a small Gaussian motion, whose standard deviations per axis are given as `Accuracy`.
 """
 
@@ -9,20 +9,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from koala3d.calib.advice.information import inside_image
-from koala3d.calib.advice.patterns import Pattern, Rig, viewpoints
+from koala3d.calib.advice.patterns import Rig
 from koala3d.calib.arrays import Array
 from koala3d.calib.handeye import model
 from koala3d.calib.handeye.model import Accuracy, Session, State
 from koala3d.calib.intrinsics import projection
+from koala3d.calib.sessions.session import TargetSession
 from koala3d.calib.targets.detection import Observation
 from koala3d.datasets import pose
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.targets.board import Board
 
-__all__ = ["KOALA", "Pattern", "Rig", "Simulated", "simulate", "viewpoints"]
 Generator = np.random.Generator
 
-
+SIGMA_PX = 0.1
+ARM = Accuracy(3e-5, float(np.deg2rad(0.005)))  # per axis: what a UR5e repeats to
 KOALA = Rig(
     Camera(1920, 1080, 1700.0, 1698.0, 968.0, 534.0, -0.08, 0.05, 0.0006, -0.0004, 0.0),
     Board.of("charuco", 9, 7, 0.03, 0.022, "DICT_5X5_100"),
@@ -81,3 +82,10 @@ def simulate(
     pixels = projection.project(model.camera_points(truly, truth), truth.intrinsics, every.form)[0]
     session = replace(every, pixels=pixels + rng.normal(0, 1, pixels.shape) * sigma_px).some(inside_image(pixels, rig.camera))
     return Simulated(rig, base_from_camera, session, truth)
+
+
+def target_session(simulated: Simulated, name: str = "simulated") -> TargetSession:
+    """A simulated session in the form of a detected one."""
+    camera = simulated.rig.camera
+    seen, flown = tuple(simulated.observations()), simulated.session.base_from_flange
+    return TargetSession(simulated.rig.board, camera.width, camera.height, seen, flown, provenance={"frames_sha256": name})

@@ -7,9 +7,9 @@ import pytest
 
 from koala3d.datasets.checks import light, masks
 from koala3d.datasets.checks.evidence import Evidence
-from koala3d.datasets.injuries import injure
-from koala3d.datasets.injuries.studio import SOLIDS, Studio, hits, lamps, places, write
 from koala3d.datasets.scene import Scene
+from tests.bench import injure
+from tests.bench.studio import SOLIDS, Studio, hits, lamps, places, write
 
 SMALL = Studio(views=18, width=160, height=120, table=False)
 

@@ -5,19 +5,19 @@ import pytest
 
 from koala3d.datasets.checks.evidence import Evidence
 from koala3d.datasets.imaging import images
-from koala3d.datasets.injuries import bench
-from koala3d.datasets.injuries.injure import INJURIES, gap, shown, whole, wrong_box, wrong_distortion, wrong_focal
-from koala3d.datasets.injuries.studio import Studio, write
+from tests.bench import check
+from tests.bench.injure import INJURIES, gap, shown, whole, wrong_box, wrong_distortion, wrong_focal
+from tests.bench.studio import Studio, write
 
 
 def test_the_table_counts_what_is_named(tmp_path: Path) -> None:
     scene = write(Studio(views=14, width=160, height=120), tmp_path)
     some = [one for one in INJURIES if one.name in ("pose", "mask eroded")]
-    found = list(bench.trials([scene], injuries=some, lights=False))
+    found = list(check.trials([scene], injuries=some, lights=False))
     assert [trial.strength for trial in found if trial.injury == "pose"] == [1, 3, 10]
     assert not [trial for trial in found if trial.injury == "mask eroded"], "the studio with its table has no masks"
     assert all(trial.named for trial in found if trial.injury == "pose" and trial.strength > 1)
-    text = bench.table(found)
+    text = check.table(found)
     assert "pose" in text and "10 px: 1/1" in text and "untouched studio" in text
 
 
@@ -25,7 +25,7 @@ def test_features_seen_again_are_those_of_the_new_cameras(tmp_path: Path) -> Non
     scene = write(Studio(views=6, width=120, height=90), tmp_path)
     known = Evidence.gather(scene)
     injured, _ = wrong_focal(scene, 10.0, tmp_path)
-    again, fresh = bench.seen_again(known, injured), Evidence.gather(injured)
+    again, fresh = check.seen_again(known, injured), Evidence.gather(injured)
     for one, other in zip(again.matches.features, fresh.matches.features, strict=True):
         assert np.abs(one.directions - other.directions).max() < 1e-9
 
@@ -49,4 +49,4 @@ def test_distortion_is_measured_where_the_object_is_and_cut_masks_are_spared(tmp
     )  # the edge is measured from the principal point
     for view in scene.views[:5]:
         images.write(view.image, np.ones((48, 64, 4), np.float32))  # the object fills the picture
-    assert whole(scene) == [5] and not bench.fits(next(one for one in INJURIES if one.name == "mask shifted"), scene)
+    assert whole(scene) == [5] and not check.fits(next(one for one in INJURIES if one.name == "mask shifted"), scene)

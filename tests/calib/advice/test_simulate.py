@@ -1,9 +1,10 @@
 import numpy as np
 
+from koala3d.calib.advice.patterns import Pattern, viewpoints
+from koala3d.calib.advice.simulate import KOALA, simulate
 from koala3d.calib.handeye import model
 from koala3d.calib.handeye.model import Accuracy
 from koala3d.calib.intrinsics import bundle
-from koala3d.calib.study.simulate import KOALA, Pattern, simulate, viewpoints
 from koala3d.datasets import pose
 
 
