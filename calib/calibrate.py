@@ -29,8 +29,8 @@ from koala3d.calib.handeye.refine import Refined
 from koala3d.calib.intrinsics import estimate, lenses, projection, splined
 from koala3d.calib.intrinsics.known import Known
 from koala3d.calib.sessions.session import TargetSession
-from koala3d.calib.solver.geometry import rms_difference
 from koala3d.calib.targets import screening
+from koala3d.datasets import pose
 from koala3d.datasets.calibration import Calibration
 from koala3d.datasets.camera_model import Camera
 
@@ -282,7 +282,7 @@ def _by_view(session: TargetSession, measured: Session, refined: Refined) -> dic
 
 def _closed_form_facts(closed: closed_forms.HandEye, refined: Refined) -> dict[str, Any]:
     """The closed form's residuals, and how far the refinement moved from it."""
-    moved_mm, moved_deg = rms_difference(closed.mount_from_camera, refined.state.mount_from_camera)
+    moved_mm, moved_deg = pose.rms_difference(closed.mount_from_camera, refined.state.mount_from_camera)
     return {
         "method": closed.method,
         "translation_residual_mm": 1e3 * float(np.sqrt(np.mean(closed.translation_residual_m**2))),

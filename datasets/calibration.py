@@ -38,14 +38,18 @@ class UncertainPose:
     """(6, 6): translation [m^2] first, then rotation vector [rad^2]."""
 
     @property
-    def translation_std_mm(self) -> NDArray[np.float64]:
-        """(3,) standard deviations of `matrix[:3, 3]` [mm].
+    def origin_covariance(self) -> NDArray[np.float64]:
+        """(3, 3) covariance of `matrix[:3, 3]` [m^2].
 
-        The covariance is about the first frame's origin, so its rotation part moves the second frame's origin too.
+        `covariance` is about the first frame's origin, so its rotation part moves the second frame's origin too.
         """
-        x, y, z = self.matrix[:3, 3]
-        by_twist = np.hstack([np.eye(3), [[0, z, -y], [-z, 0, x], [y, -x, 0]]])  # rotation part: -[position]x
-        return 1e3 * np.sqrt(np.diag(by_twist @ self.covariance @ by_twist.T))
+        by_twist = np.hstack([np.eye(3), -pose.cross(self.matrix[:3, 3])])
+        return by_twist @ self.covariance @ by_twist.T
+
+    @property
+    def translation_std_mm(self) -> NDArray[np.float64]:
+        """(3,) standard deviations of `matrix[:3, 3]` [mm]."""
+        return 1e3 * np.sqrt(np.diag(self.origin_covariance))
 
     @property
     def rotation_std_deg(self) -> NDArray[np.float64]:

@@ -7,10 +7,11 @@ from typing import Annotated, Any
 import typer
 
 from koala3d.datasets.core import console, options
+from koala3d.datasets.core.help import CHECK, LOOK, MAIN
 from koala3d.datasets.core.options import DataRoot, Json, OutFolder, OutPage, Port
-from koala3d.datasets.edit import commands
-from koala3d.datasets.process import command
-from koala3d.datasets.segmentation import command as segmentation
+from koala3d.datasets.edit import commands as edit
+from koala3d.datasets.process import commands as process
+from koala3d.datasets.segmentation import commands as segmentation
 
 app = console.make_app("datasets", "Build scenes from recordings; inspect, check, edit and export scenes of every format.")
 
@@ -29,7 +30,7 @@ def _formats(incomplete: str) -> list[str]:
     return [name for name in WRITERS if name.startswith(incomplete)]
 
 
-@app.command()
+@app.command(panel=MAIN)
 def build(
     recording: Annotated[Path, typer.Argument(help="Folder written by 'capture run'.")],
     calibration: Annotated[Path, typer.Option(help="File written by 'calib handeye'.")],
@@ -57,7 +58,7 @@ def build(
     console.report({"scene": str(out), **summary(scene)}, as_json=as_json, text=f"{_text(summary(scene))}\nwritten to {out}")
 
 
-@app.command()
+@app.command(panel=LOOK)
 def info(
     scene: options.Scene,
     images: Images = None,
@@ -73,7 +74,7 @@ def info(
     console.report(found, as_json=as_json, text=_text(found))
 
 
-@app.command()
+@app.command(panel=CHECK)
 def check(
     scene: options.Scene, images: Images = None, quick: Quick = False, data_root: DataRoot = None, as_json: Json = False
 ) -> int:
@@ -92,7 +93,7 @@ def check(
     return 1 if errors else 0
 
 
-@app.command()
+@app.command(panel=LOOK)
 def view(
     scene: options.Scene,
     port: Port = 8080,
@@ -116,7 +117,7 @@ def view(
         page.serve()
 
 
-@app.command()
+@app.command(panel=LOOK)
 def report(
     scene: options.Scene,
     out: OutPage,
@@ -138,7 +139,7 @@ def report(
     console.report({"out": str(out), "errors": errors, "warnings": warnings}, as_json=as_json, text=text)
 
 
-@app.command()
+@app.command(panel=MAIN)
 def export(
     scene: options.Scene,
     format: Annotated[
@@ -167,7 +168,7 @@ def export(
     console.report({"out": str(out), "format": format, "views": count, "limits": limits}, as_json=as_json, text=text)
 
 
-@app.command()
+@app.command(panel=CHECK)
 def truth(
     recording: Annotated[Path, typer.Argument(help="Folder written by 'capture run' on the simulated rig.")],
     calibration: Annotated[Path, typer.Option(help="File written by 'calib handeye'.")],
@@ -187,9 +188,8 @@ def truth(
     console.report(found, as_json=as_json, text=text)
 
 
-commands.add_to(app)
-command.add_to(app)
-segmentation.add_to(app)
+for part in (process, edit, segmentation):
+    part.add_to(app)
 
 
 def _numbers(text: str) -> tuple[int, ...]:

@@ -18,6 +18,7 @@ from koala3d.calib.handeye.model import Session, State
 from koala3d.calib.handeye.refine import Sigmas
 from koala3d.calib.intrinsics import projection
 from koala3d.calib.solver.elimination import covariance_of
+from koala3d.datasets import pose
 from koala3d.datasets.advice import Figures
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.targets.board import Board
@@ -128,9 +129,8 @@ def at_the_pose(covariance: Array, state: State) -> Array:
 
     A turn about the frame's origin moves the camera's centre c as well: moved = t + w x c.
     """
-    x, y, z = state.mount_from_camera[:3, 3]
     change = np.eye(6)
-    change[:3, 3:] = [[0, z, -y], [-z, 0, x], [y, -x, 0]]
+    change[:3, 3:] = -pose.cross(state.mount_from_camera[:3, 3])
     return np.asarray(change @ covariance @ change.T, np.float64)
 
 

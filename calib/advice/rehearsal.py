@@ -20,7 +20,6 @@ from koala3d.calib.handeye import model
 from koala3d.calib.handeye.refine import Sigmas
 from koala3d.calib.intrinsics import lenses, projection
 from koala3d.calib.sessions.session import TargetSession
-from koala3d.calib.solver.geometry import rms_difference
 from koala3d.calib.targets.detection import Observation
 from koala3d.datasets import pose
 from koala3d.datasets.advice import Answer, Figures, Question
@@ -88,7 +87,7 @@ class Rehearsed:
         known = self.adviser.known
         if known is None or self.adviser.figures is None:
             return None
-        return rms_difference(rig.flange_from_camera, known.state.mount_from_camera)
+        return pose.rms_difference(rig.flange_from_camera, known.state.mount_from_camera)
 
     def _spread(self, rig: Rig) -> Figures | None:
         """Root mean square errors at the Cramer-Rao bound, with the rig and its noise as they are, for the usual lens."""

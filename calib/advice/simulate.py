@@ -1,7 +1,7 @@
 """Target sessions without pictures: true corners, with noise on the corners and on the arm's reports.
 
-Rehearsals, benchmarks and tests use them. The arm's error is that of `calib.handeye.model`: the true flange is the reported one moved
-by a small Gaussian motion, whose standard deviations per axis are given as `Accuracy`.
+Rehearsals, benchmarks and tests use them. The arm's error is that of `calib.handeye.model`: the true flange is the reported
+one moved by a small Gaussian motion, whose standard deviations per axis are given as `Accuracy`.
 """
 
 from dataclasses import dataclass, replace

@@ -97,9 +97,7 @@ def coverage(evidence: Evidence) -> bytes:
 
 def ellipses(title: str, value: UncertainPose) -> bytes:
     """95 % confidence ellipses of position and of rotation in the three planes."""
-    x, y, z = value.matrix[:3, 3]
-    of_origin = np.hstack([np.eye(3), [[0, z, -y], [-z, 0, x], [y, -x, 0]]])
-    parts = (("mm", 1e6 * of_origin @ value.covariance @ of_origin.T), ("°", np.rad2deg(1) ** 2 * value.covariance[3:, 3:]))
+    parts = (("mm", 1e6 * value.origin_covariance), ("°", np.rad2deg(1) ** 2 * value.covariance[3:, 3:]))
     figure = _figure(9, 6)
     grid = figure.subplots(2, 3)
     for row, (unit, covariance) in zip(grid, parts, strict=True):

@@ -127,8 +127,8 @@ def _between(problem: Together, state: TogetherState, covariance: Array, camera:
 
 def _adjoint(a_from_b: Array) -> Array:
     """(6, 6) matrix that takes a small motion, translation first, from axes and origin of b to those of a."""
-    turn, (x, y, z) = a_from_b[:3, :3], a_from_b[:3, 3]
+    turn = a_from_b[:3, :3]
     found = np.zeros((6, 6))
     found[:3, :3] = found[3:, 3:] = turn
-    found[:3, 3:] = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ turn
+    found[:3, 3:] = pose.cross(a_from_b[:3, 3]) @ turn
     return found

@@ -15,7 +15,6 @@ from koala3d.calib.handeye.model import Accuracy
 from koala3d.calib.handeye.refine import Refined
 from koala3d.calib.sessions.session import TargetSession
 from koala3d.calib.solver.elimination import covariance_of
-from koala3d.calib.solver.geometry import rms_difference
 from koala3d.calib.together.model import Together, TogetherState
 from koala3d.datasets import pose
 from koala3d.datasets.calibration import Calibration, UncertainPose
@@ -48,7 +47,7 @@ def check_unmoved(what: str, found: Sequence[UncertainPose], names: Sequence[str
     for placed, name in zip(found[1:], names[1:], strict=True):
         twist = _twist(placed.matrix @ pose.inverse(found[0].matrix))
         squared = float(twist @ np.linalg.solve(placed.covariance + found[0].covariance, twist))
-        millimetres, degrees = rms_difference(placed.matrix, found[0].matrix)
+        millimetres, degrees = pose.rms_difference(placed.matrix, found[0].matrix)
         if squared > APART and millimetres > 1e3 * APART_M:
             stated = np.hypot(placed.total_std[0], found[0].total_std[0])
             why = (

@@ -132,7 +132,7 @@ def fitted(camera: Camera, picture: Path, *, where: object) -> Camera:
 def foreign_lens(model: str, folder: Path, *, where: object) -> DatasetError:
     """The error of a lens that our camera cannot hold, and the command that mends it."""
     new = f"{folder.resolve().name}_undistorted"
-    remedy = f"make a copy without distortion: datasets undistort {shlex.quote(str(folder))} --out {shlex.quote(new)}"
+    remedy = f"make a copy without distortion: datasets edit {shlex.quote(str(folder))} --undistort --out {shlex.quote(new)}"
     return DatasetError(f"camera model {model} is not supported", where=where, remedy=remedy)
 
 

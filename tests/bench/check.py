@@ -147,7 +147,7 @@ def table(found: Sequence[Trial]) -> str:
 
 
 def main(
-    scenes: Annotated[list[Path] | None, typer.Argument(metavar="SCENE...", help="Good scenes to injure.")] = None,
+    scenes: Annotated[list[Path] | None, typer.Argument(metavar="SCENE", help="Good scenes to injure.")] = None,
     injuries: Annotated[list[str] | None, typer.Option("--injury", help="Injury to include; repeatable.")] = None,
     lights: Annotated[bool, typer.Option("--lights/--no-lights", help="Also simulate lamps that do not stand still.")] = True,
 ) -> None:

@@ -26,7 +26,7 @@ from koala3d.calib.arrays import Array
 from koala3d.calib.handeye import closed_forms, refine
 from koala3d.calib.handeye.model import Accuracy, State
 from koala3d.calib.intrinsics import bundle
-from koala3d.calib.solver.geometry import rms_difference
+from koala3d.datasets import pose
 from koala3d.datasets.calibration import UncertainPose
 from koala3d.datasets.core import console
 from koala3d.datasets.core.errors import KoalaError
@@ -73,7 +73,7 @@ class Errors:
 
     def add(self, truth: Array, found: Array, seconds: float) -> None:
         """Count one answer."""
-        for values, value in zip((self.translation_mm, self.rotation_deg), rms_difference(truth, found), strict=True):
+        for values, value in zip((self.translation_mm, self.rotation_deg), pose.rms_difference(truth, found), strict=True):
             values.append(value)
         self.time_ms.append(1e3 * seconds)
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from koala3d.calib import calibrate
+from koala3d.calib import calibrate, comparison
 from koala3d.calib.calibrate import calibrate_handeye
 from koala3d.calib.handeye import closed_forms
 from koala3d.calib.handeye.model import Accuracy

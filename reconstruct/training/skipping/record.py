@@ -14,7 +14,7 @@ NAMES = tuple(SkipConfig.model_fields)
 NOTHING_MORE = "nothing more"
 """Saving of what the model would not have done anyway."""
 ELSEWHERE = {
-    "structure_from_motion": "poses are taken as the scene has them; 'calib refine' moves them",
+    "structure_from_motion": "poses are taken as the scene has them; 'datasets edit --refine-poses' moves them",
     "moving_lamps": "where lamps stand still is set by light.frame: world, camera or turntable",
 }
 """What is on the list although no setting of `skip` decides it, and where it is decided."""

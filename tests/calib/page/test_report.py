@@ -13,6 +13,7 @@ from PIL import Image
 from koala3d.calib import calibrate
 from koala3d.calib.advice.patterns import Pattern, viewpoints
 from koala3d.calib.advice.simulate import ARM, KOALA, simulate, target_session
+from koala3d.calib.intrinsics import crossval
 from koala3d.calib.page import report
 from koala3d.calib.page.evidence import gather
 from koala3d.datasets import pose
@@ -54,7 +55,7 @@ def pictures(text):
 def test_page_needs_nothing_else(text):
     assert not re.search(r"<script[^>]*src|https?://|src=\"(?!data:)", text)
     HTMLParser().feed(text)
-    assert len(re.findall(r"<h2[ >]", text)) == text.count("</h2>") == 10
+    assert len(re.findall(r"<h2[ >]", text)) == text.count("</h2>") == 11
     assert "calib report FILE --out page.html" in text
 
 
@@ -67,7 +68,7 @@ def test_numbers_have_their_uncertainty(text, evidence):
 
 def test_figures_show_something(text):
     found = pictures(text)
-    assert len(found) == 7  # residuals, views, coverage, rotations, two ellipses, two halves
+    assert len(found) == 8  # residuals, views, coverage, rotations, two ellipses, certainty, two halves
     for picture in found:
         values = np.asarray(picture.convert("L"), float)
         assert min(values.shape) > 250 and values.std() > 5, "an empty figure"
@@ -88,7 +89,19 @@ def test_a_given_camera_is_not_cross_validated():
 def test_a_camera_alone_has_no_figures_of_an_arm(evidence):
     calibration = replace(evidence.calibration, flange_from_camera=None, base_from_board=None)
     text = report.page(gather(calibration, evidence.everything)).render()
-    assert "Rotations" not in text and "Uncertainty of" not in text and len(pictures(text)) == 4
+    assert (
+        "Rotations" not in text and "Uncertainty of" not in text and len(pictures(text)) == 4
+    )  # the file keeps no correlation of its camera alone
+    assert "does not keep how its errors are correlated" in text
+
+
+def test_the_difference_from_another_camera_is_drawn(evidence):
+    camera = evidence.calibration.camera
+    found = crossval.compared(camera, replace(camera, fx=camera.fx + 3), "other.json")
+    text = report.page(evidence, others={"other": found}).render()
+    assert "Difference from other" in text and len(pictures(text)) == 9
+    with pytest.raises(UsageError, match="960x540, not 1920x1080"):
+        crossval.compared(camera, camera.scaled(960, 540), "small.json")
 
 
 def test_nothing_is_overwritten(tmp_path, page):

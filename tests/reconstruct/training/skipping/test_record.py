@@ -30,7 +30,7 @@ def test_names_are_forced_by_overrides_that_the_configuration_knows() -> None:
     assert set(record.COSTS) == {*SkipConfig.model_fields, *record.LEARNED, *record.ELSEWHERE}
 
 
-@pytest.mark.parametrize(("name", "answer"), [("multisample", "multisampling"), ("structure_from_motion", "calib refine")])
+@pytest.mark.parametrize(("name", "answer"), [("multisample", "multisampling"), ("structure_from_motion", "--refine-poses")])
 def test_an_unknown_name_is_answered_with_the_nearest(name: str, answer: str) -> None:
     with pytest.raises(UsageError, match=answer):
         record.forced([name])

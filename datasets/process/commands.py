@@ -1,4 +1,4 @@
-"""The commands `datasets process`, `align` and `compare`; `datasets.cli` registers them."""
+"""The commands `datasets process` and `compare`; `datasets.cli` registers them."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from koala3d.datasets.core import console, options
-from koala3d.datasets.core.help import App
+from koala3d.datasets.core.help import CHECK, MAIN, App
 from koala3d.datasets.core.options import DataRoot, Json, OutFolder
 
 if TYPE_CHECKING:
@@ -15,44 +15,67 @@ if TYPE_CHECKING:
 
 POINT = "PICTURE:X,Y+PICTURE:X,Y"
 
+WORLD, MODEL = "Unit and direction of the world", "How poses are found"
+
 MarkerSide = Annotated[
     float | None,
-    typer.Option("--marker-mm", metavar="MM", help="Printed side of the ArUco, AprilTag or ChArUco markers in view."),
+    typer.Option(metavar="MM", help="Printed side of the ArUco, AprilTag or ChArUco markers in view.", rich_help_panel=WORLD),
 ]
 Length = Annotated[
     tuple[str, str, float] | None,
     typer.Option(
-        "--known-length", metavar="A B METRES", help=f"A known distance between two points A and B, each written {POINT}."
+        metavar="A B METRES",
+        help=f"A known distance between two points A and B, each written {POINT}.",
+        rich_help_panel=WORLD,
     ),
 ]
 Positions = Annotated[
-    Path | None, typer.Option("--positions", metavar="FILE", help="Lines NAME X Y Z: where camera or flange were, in metres.")
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Measured positions of the camera or of the flange: lines of NAME X Y Z, in metres.",
+        rich_help_panel=WORLD,
+    ),
 ]
 Up = Annotated[
-    str, typer.Option("--up", help="What tells the z axis: marker, plane, cameras, none; auto tries them in this order.")
+    str,
+    typer.Option(
+        help="What tells the z axis: marker, plane, cameras, none; auto tries them in this order.", rich_help_panel=WORLD
+    ),
+]
+Frames = Annotated[int, typer.Option(metavar="N", min=3, help="Most frames to take from a video.", rich_help_panel=MODEL)]
+Match = Annotated[
+    str,
+    typer.Option(
+        help="Pairs to match: all, neighbours (in order of names), alike, or auto, which depends on their number.",
+        rich_help_panel=MODEL,
+    ),
+]
+Vocabulary = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="COLMAP's vocabulary tree, to choose the pairs.", rich_help_panel=MODEL),
+]
+Cameras = Annotated[
+    str,
+    typer.Option(
+        help="Pictures that share a lens: auto (size, maker, model and focal length), size, or each.", rich_help_panel=MODEL
+    ),
 ]
 
 
 def add_to(app: App) -> None:
     """Register the commands."""
-    for command in (process, align, compare):
-        app.command()(command)
+    app.command(panel=MAIN)(process)
+    app.command(panel=CHECK)(compare)
 
 
 def process(
     source: Annotated[Path, typer.Argument(metavar="PHOTOS|VIDEO", help="Folder of photographs, or a video.")],
     out: OutFolder,
-    frames: Annotated[int, typer.Option(metavar="N", min=3, help="Most frames to take from a video.")] = 100,
-    match: Annotated[
-        str,
-        typer.Option(help="Pairs to match: all, neighbours (in order of names), alike, or auto, which depends on their number."),
-    ] = "auto",
-    vocabulary: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="COLMAP's vocabulary tree, to choose the pairs.")
-    ] = None,
-    cameras: Annotated[
-        str, typer.Option(help="Pictures that share a lens: auto (size, maker, model and focal length), size, or each.")
-    ] = "auto",
+    frames: Frames = 100,
+    match: Match = "auto",
+    vocabulary: Vocabulary = None,
+    cameras: Cameras = "auto",
     marker_mm: MarkerSide = None,
     known_length: Length = None,
     positions: Positions = None,
@@ -69,40 +92,9 @@ def process(
 
     _one_of("--match", match, pairs.KINDS)
     _one_of("--cameras", cameras, photographs.SHARING)
-    wishes = _wishes(marker_mm, known_length, positions, up)
+    wishes = wishes_of(marker_mm, known_length, positions, up)
     found = process_pictures(source, out, Request(frames, match, vocabulary, cameras), wishes)
     console.report({"scene": str(out), **_facts(found)}, as_json=as_json, text=f"{_text(found)}\nwritten to {out}")
-
-
-def align(
-    scene: options.Scene,
-    out: OutFolder,
-    marker_mm: MarkerSide = None,
-    known_length: Length = None,
-    positions: Positions = None,
-    up: Up = "auto",
-    data_root: DataRoot = None,
-    as_json: Json = False,
-) -> None:
-    """Write a scene of arbitrary unit and direction in metres, with z up. Ground truth is left out."""
-    from koala3d.datasets.core.files import refuse_existing
-    from koala3d.datasets.formats import koala, load_scene
-    from koala3d.datasets.process.pictures import features
-    from koala3d.datasets.process.world import alignment
-
-    wishes = _wishes(marker_mm, known_length, positions, up)
-    refuse_existing(out)
-    loaded = load_scene(scene, data_root=data_root)
-    seen = {}
-    with console.progress("markers", len(loaded.views), "views") as shown:
-        for view in loaded.views:
-            seen[view.name] = features.markers_of(view.image)
-            shown.advance()
-    found = alignment.align(loaded, seen, wishes)
-    koala.save(found.scene, out)
-    result = {"scene": str(out), "metric": found.scene.metric, "scale_from": found.scale_from, "up_from": found.up_from}
-    lines = [*_evidence(found), f"written to {out}"]
-    console.report({**result, "hint": found.hint}, as_json=as_json, text="\n".join(lines))
 
 
 def compare(
@@ -145,7 +137,8 @@ def _one_of(option: str, word: str, valid: tuple[str, ...]) -> None:
         raise UsageError(f"cannot be {word!r}", where=option, remedy=nearest(word, valid))
 
 
-def _wishes(marker_mm: float | None, known_length: tuple[str, str, float] | None, positions: Path | None, up: str) -> "Wishes":
+def wishes_of(marker_mm: float | None, known_length: tuple[str, str, float] | None, positions: Path | None, up: str) -> "Wishes":
+    """What the options of one command say about size and up. Raises UsageError for a kind of up that there is not."""
     from koala3d.datasets.process.world import up as upward
     from koala3d.datasets.process.world.alignment import Wishes
     from koala3d.datasets.process.world.scale import KnownLength
@@ -180,10 +173,10 @@ def _text(found: "Processed") -> str:
     lenses = "one camera" if facts["cameras"] == 1 else f"{facts['cameras']} cameras"
     placed = f"{facts['placed']} of {found.given} pictures, {lenses}, {facts['points']} points"
     notes = [f"note    {note}" for note in scene.notes]
-    return "\n".join([f"poses   {placed}, median error {found.error_px:.2f} px", *notes, *_evidence(found.aligned)])
+    return "\n".join([f"poses   {placed}, median error {found.error_px:.2f} px", *notes, *evidence(found.aligned)])
 
 
-def _evidence(found: "Aligned") -> list[str]:
+def evidence(found: "Aligned") -> list[str]:
     """Lines on unit and direction."""
     unit = found.scale_from or ("as before, metres" if found.scene.metric else "unknown: lengths are in units")
     return [f"scale   {unit}", f"up      {found.up_from or 'as it came'}", *([f"hint    {found.hint}"] if found.hint else [])]

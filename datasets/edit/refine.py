@@ -11,21 +11,30 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from koala3d.calib.arrays import Array, Indices, Mask
-from koala3d.calib.errors import CalibrationError
-from koala3d.calib.handeye.model import Accuracy
-from koala3d.calib.solver.geometry import cross, rms_difference
 from koala3d.datasets import pose
 from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core.errors import DatasetError
+from koala3d.datasets.formats.colmap_library import lens_of
 from koala3d.datasets.imaging import images
 from koala3d.datasets.scene import Scene, View
+
+Array, Indices, Mask = NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_]
 
 ENOUGH_PX = 0.5  # median error of held-out points below which the arm's poses explain the pictures: features are no better [px]
 MIN_GAIN = 0.02  # share by which the error of held-out points must fall for the refined poses to be used
 MIN_POINTS = 50
 MIN_SEEN = 40  # a view with fewer points keeps the arm's pose: they would not determine its orientation
 LIMIT_PX = 10.0  # a feature further than this from its projected point is a wrong match
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Accuracy of the given poses, standard deviations per axis."""
+
+    translation_m: float
+    rotation_rad: float
 
 
 @dataclass(frozen=True)
@@ -38,7 +47,7 @@ class Tracks:
 
 
 @dataclass(frozen=True)
-class Refinement:
+class Refined:
     """Result of bundle adjustment."""
 
     scene: Scene  # with the poses to use, refined or unchanged
@@ -55,18 +64,18 @@ class Refinement:
         return {k: v for k, v in vars(self).items() if k != "scene"}
 
 
-def refine_scene(scene: Scene, *, prior: Accuracy, enough_px: float = ENOUGH_PX, seed: int = 0) -> Refinement:
+def refined(scene: Scene, prior: Prior, *, enough_px: float = ENOUGH_PX, seed: int = 0) -> Refined:
     """Refine the poses of `scene` by its pictures, within the arm's accuracy `prior`.
 
-    Raises CalibrationError for views of several cameras, for a splined lens, and for too few points found in the pictures.
+    Raises DatasetError for views of several cameras, for a splined lens, and for too few points found in the pictures.
     """
     camera, *others = {view.camera for view in scene.views}
     if others:
         why, remedy = f"{1 + len(others)} of them", "refine scenes of one camera"
-        raise CalibrationError("views have different cameras", where=scene.name, why=why, remedy=remedy)
+        raise DatasetError("views have different cameras", where=scene.name, why=why, remedy=remedy)
     if camera.spline is not None:
-        why, remedy = "bundle adjustment knows no such lens", "make a copy without distortion: 'datasets undistort'"
-        raise CalibrationError("camera has a splined lens", where=scene.name, why=why, remedy=remedy)
+        why, remedy = "bundle adjustment knows no such lens", "make a copy without distortion: 'datasets edit --undistort'"
+        raise DatasetError("camera has a splined lens", where=scene.name, why=why, remedy=remedy)
     with tempfile.TemporaryDirectory() as folder:
         model = _triangulated(scene, camera, Path(folder))
         tracks = _tracks(model)
@@ -74,14 +83,14 @@ def refine_scene(scene: Scene, *, prior: Accuracy, enough_px: float = ENOUGH_PX,
         if points < MIN_POINTS:
             why = f"{points} points were found in three or more views, {MIN_POINTS} are needed"
             remedy = "put something with texture beside the object"
-            raise CalibrationError("pictures show too few points to judge the poses", where=scene.name, why=why, remedy=remedy)
+            raise DatasetError("pictures show too few points to judge the poses", where=scene.name, why=why, remedy=remedy)
         given = np.stack([view.world_from_camera for view in scene.views])
         aside = np.random.default_rng(seed).permutation(points)[: max(points // 5, 10)]
         judged = np.isin(tracks.point, aside)
         before = reprojection(tracks, judged, given, camera)
         if np.median(before) <= enough_px:
             reason = f"the arm's poses already explain the pictures to {np.median(before):.2f} px"
-            return Refinement(scene, False, reason, float(np.median(before)), None, None, None, points)
+            return Refined(scene, False, reason, float(np.median(before)), None, None, None, points)
         moved = aligned(_adjusted(model, scene, set(aside.tolist()), prior.translation_m), given, prior)
     after = reprojection(tracks, judged, moved, camera)
     better = _score(after) < (1 - MIN_GAIN) * _score(before)
@@ -90,20 +99,12 @@ def refine_scene(scene: Scene, *, prior: Accuracy, enough_px: float = ENOUGH_PX,
     if better:
         scene = scene.with_views(tuple(replace(v, world_from_camera=m) for v, m in zip(scene.views, moved, strict=True)))
     medians = float(np.median(before)), float(np.median(after))
-    return Refinement(scene, better, reason, *medians, *rms_difference(given, moved), points)
+    return Refined(scene, better, reason, *medians, *pose.rms_difference(given, moved), points)
 
 
 def _score(errors: Array) -> float:
     """Mean error with each error limited to `LIMIT_PX` [px]."""
     return float(np.mean(np.minimum(errors, LIMIT_PX)))
-
-
-def _parameters(camera: Camera) -> tuple[str, list[float]]:
-    """COLMAP's name of the lens model, and its numbers; its pixel coordinates are ours."""
-    straight, k = [camera.fx, camera.fy, camera.cx, camera.cy], camera
-    if camera.fisheye:
-        return "OPENCV_FISHEYE", [*straight, k.k1, k.k2, k.k3, k.k4]
-    return "FULL_OPENCV", [*straight, k.k1, k.k2, k.p1, k.p2, k.k3, k.k4, k.k5, k.k6]
 
 
 def _triangulated(scene: Scene, camera: Camera, folder: Path) -> Any:
@@ -114,7 +115,7 @@ def _triangulated(scene: Scene, camera: Camera, folder: Path) -> Any:
     names = [f"{index:05d}.png" for index in range(len(scene.views))]
     for name, view in zip(names, scene.views, strict=True):
         _write_picture(view, folder / "images" / name, folder / "masks" / f"{name}.png")
-    kind, numbers = _parameters(camera)
+    kind, numbers = lens_of(camera)
     options = pycolmap.ImageReaderOptions(camera_model=kind, camera_params=",".join(f"{v:.17g}" for v in numbers))
     if any((folder / "masks").glob("*")):
         options.mask_path = folder / "masks"
@@ -235,7 +236,7 @@ def _adjusted(model: Any, scene: Scene, aside: set[int], prior_m: float) -> Arra
     return moved
 
 
-def aligned(moved: Array, given: Array, prior: Accuracy) -> Array:
+def aligned(moved: Array, given: Array, prior: Prior) -> Array:
     """(views, 4, 4) `moved` poses, all of them together moved rigidly to best match the poses of the arm.
 
     Pictures do not determine the orientation of the whole scene, and for a short arc of views priors on camera centres hardly
@@ -245,7 +246,9 @@ def aligned(moved: Array, given: Array, prior: Accuracy) -> Array:
     for _ in range(10):
         off = given[:, :3, 3] - moved[:, :3, 3]
         turn = pose.rotation_vector(given[:, :3, :3] @ np.swapaxes(moved[:, :3, :3], 1, 2))
-        by_motion = np.concatenate([np.tile(np.eye(3), (len(moved), 1, 1)), -cross(moved[:, :3, 3])], -1) / prior.translation_m
+        by_motion = (
+            np.concatenate([np.tile(np.eye(3), (len(moved), 1, 1)), -pose.cross(moved[:, :3, 3])], -1) / prior.translation_m
+        )
         by_turn = np.concatenate([np.zeros((len(moved), 3, 3)), np.tile(np.eye(3), (len(moved), 1, 1))], -1) / prior.rotation_rad
         rows = np.concatenate([by_motion, by_turn]).reshape(-1, 6)
         sides = np.concatenate([off / prior.translation_m, turn / prior.rotation_rad]).ravel()

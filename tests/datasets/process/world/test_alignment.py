@@ -1,4 +1,4 @@
-"""`datasets align`: an existing scene gets metres and an upward z axis."""
+"""`datasets edit`: an existing scene gets metres and an upward z axis."""
 
 import json
 from dataclasses import replace
@@ -18,7 +18,7 @@ from koala3d.datasets.scene import Scene
 
 def aligned(scene: Scene, folder: Path, *words: object) -> Scene:
     koala.save(scene, folder / "old")
-    app(["align", str(folder / "old"), "--out", str(folder / "new"), "--json", *map(str, words)], standalone_mode=False)
+    app(["edit", str(folder / "old"), "--out", str(folder / "new"), "--json", *map(str, words)], standalone_mode=False)
     return load_scene(folder / "new")
 
 
@@ -42,14 +42,14 @@ def test_positions_give_their_world(shots, tilted: Scene, tmp_path: Path) -> Non
 
 
 def test_without_wishes_only_the_direction_changes(tilted: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    scene = aligned(replace(tilted, notes=("kept",)), tmp_path)
+    scene = aligned(replace(tilted, notes=("kept",)), tmp_path, "--up", "auto")
     facts = json.loads(capsys.readouterr().out)
     assert not facts["metric"] and "--marker-mm" in facts["hint"] and scene.notes == ("kept",)
     old, new = ([view.world_from_camera[:3, 3] for view in found.views] for found in (tilted, scene))
     assert np.linalg.norm(new[0] - new[5]) == pytest.approx(np.linalg.norm(old[0] - old[5]))
     assert all(0.3 < place[2] < 0.8 for place in new)  # half of 0.8 to 1.2 m above the table
     with pytest.raises(UsageError, match="already exists"):
-        app(["align", str(tmp_path / "old"), "--out", str(tmp_path / "new")], standalone_mode=False)
+        app(["edit", str(tmp_path / "old"), "--out", str(tmp_path / "new")], standalone_mode=False)
 
 
 def test_stated_bounds_move_along(tilted: Scene) -> None:

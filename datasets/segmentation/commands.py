@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from koala3d.datasets.core import console, options
-from koala3d.datasets.core.help import App
+from koala3d.datasets.core.help import MAIN, App
 from koala3d.datasets.core.options import DataRoot, Json, OutFolder, Port
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ InPage = Annotated[bool, typer.Option("--page", help="Show the masks in the brow
 
 def add_to(app: App) -> None:
     """Register the command."""
-    app.command()(mask)
+    app.command(panel=MAIN)(mask)
 
 
 def mask(

@@ -4,11 +4,11 @@ import cv2
 import numpy as np
 import pytest
 
-from koala3d.calib import sfm
-from koala3d.calib.errors import CalibrationError
-from koala3d.calib.handeye.model import Accuracy
 from koala3d.datasets import pose
 from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core.errors import DatasetError
+from koala3d.datasets.edit import refine
+from koala3d.datasets.edit.refine import Prior
 from koala3d.datasets.imaging import images
 from koala3d.datasets.scene import Scene, View
 
@@ -69,7 +69,7 @@ def errors(scene, truth):
 
 def test_poses_that_explain_the_pictures_stay(walls):
     scene, _ = walls
-    found = sfm.refine_scene(scene, prior=Accuracy(1e-4, 1e-4))
+    found = refine.refined(scene, Prior(1e-4, 1e-4))
     assert not found.used and found.scene is scene and "already" in found.reason
     assert found.before_px < 0.5 and found.points > 100
 
@@ -77,10 +77,10 @@ def test_poses_that_explain_the_pictures_stay(walls):
 def test_poor_poses_become_better_and_the_points_set_aside_say_so(walls):
     scene, truth = walls
     poor = spoilt(scene, truth, 1.0, 0.3)
-    found = sfm.refine_scene(poor, prior=Accuracy(1e-3, 5e-3))
+    found = refine.refined(poor, Prior(1e-3, 5e-3))
     assert found.used and found.after_px < 0.6 * found.before_px
     assert errors(found.scene, truth)[1] < 0.65 * errors(poor, truth)[1]  # eight orientations alone leave sqrt(1 / 8) of it
-    shape = sfm.aligned(np.stack([v.world_from_camera for v in found.scene.views]), truth, Accuracy(1e-3, 5e-3))
+    shape = refine.aligned(np.stack([v.world_from_camera for v in found.scene.views]), truth, Prior(1e-3, 5e-3))
     turns = np.rad2deg(pose.difference(shape, truth)[1])
     assert np.median(turns) < 0.15  # the poses among each other; one at the rim may have kept the arm's
     assert 0.05 < found.moved_deg < 1.0
@@ -89,7 +89,7 @@ def test_poor_poses_become_better_and_the_points_set_aside_say_so(walls):
 def test_alignment_undoes_a_motion_of_the_whole_scene(walls):
     _, truth = walls
     moved = pose.from_rotation_vector([0.2, -0.1, 0.3], [0.1, 0.2, -0.1]) @ truth
-    np.testing.assert_allclose(sfm.aligned(moved, truth, Accuracy(1e-3, 5e-3)), truth, atol=1e-9)
+    np.testing.assert_allclose(refine.aligned(moved, truth, Prior(1e-3, 5e-3)), truth, atol=1e-9)
 
 
 def test_reprojection_is_exact_for_perfect_tracks():
@@ -97,12 +97,12 @@ def test_reprojection_is_exact_for_perfect_tracks():
     poses = np.stack([pose.look_at((0.8 * np.cos(a), 0.8 * np.sin(a), 0.5), (0, 0, 0)) for a in (0, 0.3, 0.7, 1.0)])
     points = rng.uniform(-0.1, 0.1, (30, 3))
     pixels = [CAMERA.project(points @ pose.inverse(p)[:3, :3].T + pose.inverse(p)[:3, 3]) for p in poses]
-    tracks = sfm.Tracks(np.repeat(np.arange(30), 4), np.tile(np.arange(4), 30), np.stack(pixels, 1).reshape(-1, 2))
+    tracks = refine.Tracks(np.repeat(np.arange(30), 4), np.tile(np.arange(4), 30), np.stack(pixels, 1).reshape(-1, 2))
     everything = np.ones(120, bool)
-    assert sfm.reprojection(tracks, everything, poses, CAMERA).max() < 1e-6
+    assert refine.reprojection(tracks, everything, poses, CAMERA).max() < 1e-6
     turned = poses.copy()
     turned[2] = turned[2] @ pose.from_rotation_vector([0, 0.01, 0])
-    assert np.median(sfm.reprojection(tracks, everything, turned, CAMERA)) > 0.5
+    assert np.median(refine.reprojection(tracks, everything, turned, CAMERA)) > 0.5
 
 
 def test_pictures_without_texture_are_refused(walls, tmp_path):
@@ -112,12 +112,12 @@ def test_pictures_without_texture_are_refused(walls, tmp_path):
     blank = scene.with_views(
         tuple(View(f"{i}", CAMERA, scene.views[i].world_from_camera, "train", tmp_path / f"{i}.png") for i in range(4))
     )
-    with pytest.raises(CalibrationError, match="too few points"):
-        sfm.refine_scene(blank, prior=Accuracy(1e-3, 5e-3))
+    with pytest.raises(DatasetError, match="too few points"):
+        refine.refined(blank, Prior(1e-3, 5e-3))
 
 
 def test_several_cameras_are_refused(walls):
     scene, _ = walls
     other = View("x", CAMERA.scaled(100, 75), scene.views[0].world_from_camera, "train", scene.views[0].image)
-    with pytest.raises(CalibrationError, match="different cameras"):
-        sfm.refine_scene(scene.with_views((*scene.views, other)), prior=Accuracy(1e-3, 5e-3))
+    with pytest.raises(DatasetError, match="different cameras"):
+        refine.refined(scene.with_views((*scene.views, other)), Prior(1e-3, 5e-3))
