@@ -7,6 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from koala3d.datasets.imaging import images
+from koala3d.datasets.imaging.downscale import streamed
+from koala3d.datasets.imaging.reduced import READERS
 from koala3d.datasets.scene import View
 from koala3d.datasets.structure.bounds import Box, depth_range
 from koala3d.datasets.structure.votes import FEWEST, Silhouette, upheld
@@ -55,7 +57,7 @@ def visual_hull(views: Sequence[View], box: ArrayLike, *, views_used: int = 64, 
     box, and among what fewer views see.
     """
     chosen = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, views_used).round().astype(int))]
-    silhouettes = [_silhouette(view) for view in chosen]
+    silhouettes = list(streamed(_silhouette, chosen, workers=READERS))
     start = np.asarray(box, np.float64)
     found: list[tuple[float, Hull]] = []
     for one_of in SEEN_BY:
@@ -94,7 +96,8 @@ FAINTEST = 0.1
 
 def _silhouette(view: View) -> Silhouette:
     """A view's mask in cells, of the object where any of their pixels is."""
-    inside = (view.read_mask() if view.mask else images.read(view.image))[..., -1] > FAINTEST
+    stored = view.read_stored_mask() if view.mask else images.read_stored(view.image)[..., -1:]
+    inside = images.as_float(stored)[..., 0] > FAINTEST
     height, width = inside.shape
     padded = np.pad(inside, ((0, -height % _CELL), (0, -width % _CELL)))
     rows, columns = padded.shape[0] // _CELL, padded.shape[1] // _CELL

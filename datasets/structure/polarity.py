@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koala3d.datasets.imaging import images
+from koala3d.datasets.imaging.downscale import streamed
+from koala3d.datasets.imaging.reduced import READERS
 from koala3d.datasets.scene import View
 from koala3d.datasets.structure.bounds import visible_box
 
@@ -31,7 +33,7 @@ _PURE = 0.02
 def inverted(views: Sequence[View]) -> str:
     """Why black is the object in these masks, in a few words; empty where white is. The views must all have masks."""
     chosen = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, VIEWS).round().astype(int))]
-    cells = [_cells(view) for view in chosen]
+    cells = list(streamed(_cells, chosen, workers=READERS))
     border = float(np.mean([border_white(cell) for cell in cells]))
     if border <= CLEAR_BORDER:
         return ""
