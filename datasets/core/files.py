@@ -124,7 +124,7 @@ def write_json(path: Path, content: Any) -> None:
 
 
 def plain(value: Any) -> Any:
-    """What JSON can hold in place of a value that it cannot: of arrays, numbers of NumPy and paths. Raises TypeError for others."""
+    """What JSON holds in place of an array, a number of NumPy or a path. Raises TypeError for other values."""
     if isinstance(value, np.ndarray):
         return value.tolist()
     if isinstance(value, np.generic):

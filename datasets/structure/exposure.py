@@ -80,6 +80,5 @@ def measured_gains(scene: Scene, *, count: int = 5) -> ExposureGains:
         DatasetError: an image is missing, damaged or of the wrong size.
     """
     matrices = np.stack([view.world_from_camera for view in scene.views])
-    centre, spread = bounds.focus(matrices)
-    centre = centre if spread > bounds.PARALLEL else scene.box.mean(0)
-    return exposure_gains(matching.matched(scene.views, matching.pairs_of(matrices, centre, count=count)), matrices)
+    pairs = matching.pairs_of(matrices, bounds.middle(matrices, scene.box), count=count)
+    return exposure_gains(matching.matched(scene.views, pairs), matrices)

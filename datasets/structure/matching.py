@@ -11,9 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.datasets import conventions
 from koala3d.datasets.core.progress import Step, ignore
-from koala3d.datasets.imaging import images
+from koala3d.datasets.imaging import images, sift
 from koala3d.datasets.scene import View
 
 SIDE = 640
@@ -97,22 +96,14 @@ def shrunk(picture: NDArray[np.float32], side: int = SIDE) -> NDArray[np.float32
 
 def detect_in(small: NDArray[np.float32], view: View, *, count: int = COUNT) -> Features:
     """Features of a view in its picture at any size."""
-    import cv2
-
     height, width = small.shape[:2]
     grey = 255 * small[..., :3].mean(-1)
     grey = np.where(np.isnan(grey), 0, grey).clip(0, 255).astype(np.uint8)  # NaN, as behind a mask, becomes black
     mask = np.uint8(255) * (small[..., 3] > 0.5) if small.shape[-1] == 4 else None
-    sift = cv2.SIFT.create(count, 3, 0.02, 10.0, 1.6, cv2.CV_32F, True)  # True: no bias of a quarter of a pixel
-    keypoints, descriptors = sift.detectAndCompute(grey, mask)
-    pixel = 1 / (view.camera.fx * width / view.camera.width)
-    if descriptors is None:
-        return Features(np.zeros((0, 3)), np.zeros((0, 128), np.float32), np.zeros((0, 3), np.float32), pixel)
-    pixels = conventions.pixels_from_opencv([point.pt for point in keypoints])
-    root = np.sqrt(descriptors / np.maximum(descriptors.sum(1, keepdims=True), 1e-12))
-    column, row = np.minimum(pixels.astype(int), [width - 1, height - 1]).T
-    directions = view.camera.scaled(width, height).directions(pixels)
-    return Features(directions, root.astype(np.float32), _colours(small)[row, column], pixel)
+    found = sift.keypoints(grey, mask, count)
+    directions = view.camera.scaled(width, height).directions(found.pixels)
+    colours = _colours(small)[found.inside(width, height)]
+    return Features(directions, found.descriptors, colours, 1 / (view.camera.fx * width / view.camera.width))
 
 
 def _colours(picture: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -1,6 +1,6 @@
 """What the masks of a scene's views say: which colour is the object, and the space that holds it.
 
-Many masks are read for that. The answer is therefore kept in Koala's cache, for as long as files, cameras and poses stay the same.
+Many masks are read for that. The answer is kept in Koala's cache for as long as files, cameras and poses stay the same.
 """
 
 import hashlib
@@ -18,6 +18,7 @@ from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import KoalaError
 from koala3d.datasets.imaging import images
 from koala3d.datasets.scene import View
+from koala3d.datasets.splits import evenly
 from koala3d.datasets.structure import bounds, polarity
 from koala3d.datasets.structure.hull import visual_hull
 
@@ -45,7 +46,7 @@ class Outlined:
 
 def outlined(views: Sequence[View]) -> Outlined:
     """What masks or alphas say; computed once for the same files. Raises DatasetError where one of them is damaged."""
-    looked_at = [views[i] for i in sorted({int(i) for i in np.linspace(0, len(views) - 1, LOOKED_AT)})]
+    looked_at = evenly(views, LOOKED_AT)
     if all(view.mask is None for view in views) and not any(images.channels(view.image) in (2, 4) for view in looked_at):
         return Outlined()
     path = _place(views)

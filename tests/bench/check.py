@@ -18,6 +18,7 @@ from koala3d.datasets.core.progress import Step, ignore
 from koala3d.datasets.formats import load_scene
 from koala3d.datasets.imaging import images
 from koala3d.datasets.scene import Scene
+from koala3d.datasets.splits import evenly
 from tests.bench.injure import INJURIES, Injury, whole
 from tests.bench.studio import Studio, write
 
@@ -115,7 +116,7 @@ def fits(injury: Injury, scene: Scene) -> bool:
 
 def prepared(scene: Scene, folder: Path) -> Scene:
     """A scene of at most `VIEWS` views with small pictures in `folder`."""
-    train_and_test = [scene.views[i] for i in np.unique(np.linspace(0, len(scene.views) - 1, VIEWS).round().astype(int))]
+    train_and_test = evenly(scene.views, VIEWS)
     views = []
     for number, view in enumerate(train_and_test):
         shrink = max(1.0, max(view.camera.width, view.camera.height) / SIDE)

@@ -1,7 +1,6 @@
 """Features of one picture: places that can be found again in other pictures, their descriptors and their colours.
 
-SIFT in a picture of at most `SIDE` pixels. Descriptors are normalised as COLMAP's, so that its matcher takes them: the root of
-the histogram divided by its sum (Arandjelović and Zisserman 2012), times 512.
+SIFT in a picture of at most `SIDE` pixels. Descriptors are stored as COLMAP's, so that its matcher takes them: times 512.
 """
 
 from dataclasses import dataclass
@@ -11,10 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.datasets import conventions
 from koala3d.datasets.core import arrays, files
 from koala3d.datasets.core.errors import DatasetError
-from koala3d.datasets.imaging import images
+from koala3d.datasets.imaging import images, sift
 from koala3d.datasets.process.pictures import markers
 from koala3d.datasets.process.pictures.markers import Marker
 
@@ -22,8 +20,6 @@ SIDE = 1200
 """Longest side of the pictures that are searched [px]."""
 COUNT = 4000
 """Features per picture; those of the highest contrast are kept."""
-PEAK = 0.02
-"""Least contrast of a feature, times the number of layers per octave."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,18 +65,12 @@ def detect(path: Path) -> Features:
     picture, mask = _searched(path)
     height, width = picture.shape[:2]
     grey = np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), np.uint8)
-    sift = cv2.SIFT.create(COUNT, 3, PEAK, 10.0, 1.6, cv2.CV_32F, True)  # True: no bias of a quarter of a pixel
-    keypoints, descriptors = sift.detectAndCompute(grey, mask)
+    found = sift.keypoints(grey, mask, COUNT)
+    order = np.argsort(-found.contrast, kind="stable")
+    descriptors = np.rint(512 * found.descriptors[order]).clip(0, 255).astype(np.uint8)
+    colours = picture[found.inside(width, height)][order]
     seen = tuple(markers.detect(grey))
-    if descriptors is None:
-        nothing = np.zeros((0, 128), np.uint8)
-        return Features(width, height, np.zeros((0, 2), np.float32), nothing, nothing[:, :3], seen)
-    order = np.argsort([-point.response for point in keypoints], kind="stable")
-    places, descriptors = np.array([point.pt for point in keypoints])[order], descriptors[order]
-    column, row = np.rint(places).astype(int).clip(0, [width - 1, height - 1]).T
-    root = 512 * np.sqrt(descriptors / np.maximum(descriptors.sum(1, keepdims=True), 1e-12))
-    pixels = conventions.pixels_from_opencv(places).astype(np.float32)
-    return Features(width, height, pixels, np.rint(root).clip(0, 255).astype(np.uint8), picture[row, column], seen)
+    return Features(width, height, found.pixels[order].astype(np.float32), descriptors, colours, seen)
 
 
 def markers_of(path: Path) -> tuple[Marker, ...]:
