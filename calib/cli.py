@@ -169,7 +169,7 @@ def report_command(
     report.page(evidence, made_by=console.command_line(), distance_m=distance, others=others).write(out)
     differ = {name: {"rms_px": one.rms_px, "most_px": float(one.values_px.max())} for name, one in others.items()}
     lines = [f"{name} differs by {one['rms_px']:.3f} px rms, at most {one['most_px']:.3f} px" for name, one in differ.items()]
-    result = {"out": str(out), "residuals": calibration.residuals, "difference": differ}
+    result = {"out": str(out), "residuals": calibration.residuals.to_json(), "difference": differ}
     console.report(result, as_json=json, text="\n".join([*lines, f"written to {out}"]))
 
 
@@ -192,7 +192,7 @@ def view_command(
     calibration = Calibration.load(path)
     with open_page(path.stem, port) as page:
         show(page, calibration, recording=recording, description=description)
-        rms = calibration.residuals.get("rms_px")
+        rms = calibration.residuals.rms_px
         result = {"url": page.url, "calibration": str(path), "rms_px": rms}
         console.report(result, as_json=json, text=f"{page.url} shows {path}; Ctrl-C ends it")
         page.serve()

@@ -21,6 +21,7 @@ from koala3d.datasets.core.errors import DatasetError
 from koala3d.datasets.imaging.region import Region
 from koala3d.datasets.kinematics import UR5E, Links
 from koala3d.datasets.recording import Frame
+from koala3d.datasets.residuals import Residuals
 from koala3d.datasets.turntable import Axis
 
 FORMAT, VERSION = "koala-calibration", 1
@@ -170,8 +171,8 @@ class Calibration:
     """Axis of the turntable on which the object stands, where it was calibrated."""
     region: Region | None = None
     """Region of the sensor that the recorded images show; None where it is not known, as in files of older versions."""
-    residuals: dict[str, Any] = field(default_factory=dict)
-    """Residuals of the fit: `rms_px`, per-view errors, held-out error, counts."""
+    residuals: Residuals = field(default_factory=Residuals)
+    """How well it fits, and how well it predicts views held out of the fit."""
     provenance: dict[str, Any] = field(default_factory=dict)
     """Recording path and hash, target, method, software versions."""
 
@@ -216,7 +217,7 @@ class Calibration:
         content |= dict.fromkeys(_POSES[:2]) | {name: value.to_json() for name, value in self.poses.items()}
         optional = {"link_errors": self.link_errors, "turntable": self.turntable, "region": self.region}
         content |= {name: value.to_json() for name, value in optional.items() if value}
-        files.write_json(path, {**content, "residuals": self.residuals, "provenance": self.provenance})
+        files.write_json(path, {**content, "residuals": self.residuals.to_json(), "provenance": self.provenance})
 
     @classmethod
     def load(cls, path: Path) -> Self:
@@ -242,6 +243,7 @@ class Calibration:
             if not isinstance(stored[name], dict):
                 raise DatasetError("is not made of names and values", where=f"{path}, {name}", why=str(stored[name])[:80])
             _check_finite(stored[name], f"{path}, {name}")
+        stored["residuals"] = Residuals.from_json(stored["residuals"], where=f"{path}, residuals")
         return cls(camera, **stored)
 
 

@@ -176,7 +176,7 @@ def truth(
 ) -> None:
     """Compare a calibration with the true geometry of a simulated rig."""
     from koala3d.datasets.calibration import Calibration
-    from koala3d.datasets.truth import calibration_error
+    from koala3d.datasets.checks.truth import calibration_error
 
     found = calibration_error(recording, Calibration.load(calibration))
     text = "error of the hand-eye pose: {hand_eye_mm:.3f} mm, {hand_eye_deg:.4f} deg\n".format(**found)

@@ -42,13 +42,14 @@ def page(
     calibration, residuals = evidence.calibration, evidence.calibration.residuals
     report = ReportPage("Calibration", made_by=[made_by] if made_by else [])
     units = {name: "px" if name.endswith("_px") else "mm" if name.endswith("_mm") else "°" for name in MEANINGS}
-    known = {name: Number(residuals[name], units[name]) for name in MEANINGS if residuals.get(name) is not None}
+    values = {name: getattr(residuals, name) for name in MEANINGS}
+    known = {name: Number(value, units[name]) for name, value in values.items() if value is not None}
     headings = {"held_out_px": "on unseen views", "held_out_mm": "the same at the target", "rms_px": "residual"}
-    views = f"{residuals['views_used']} views, {residuals['corners']} corners in {residuals['coverage']:.0%} of the image"
+    views = f"{residuals.views_used} views, {residuals.corners} corners in {residuals.coverage:.0%} of the image"
     report.headline([(words, known[name]) for name, words in headings.items() if name in known], views)
     report.section("Result")
     for name, value in calibration.poses.items():
-        _pose(report, name + (RELAXED if "allowed_mm" in residuals else ""), value)
+        _pose(report, name + (RELAXED if residuals.allowed_mm else ""), value)
     _camera(report, calibration)
     report.heading("residuals")
     report.numbers((name.rsplit("_", 1)[0].replace("_", " "), value, MEANINGS[name]) for name, value in known.items())

@@ -74,11 +74,19 @@ def calibrate_boards(
     boards = _boards(problem, refined, arm.covariance)
     number = next(number for number, solution in enumerate(solutions) if solution is best)
     of_best = joining.calibration_of(problem, refined, arm, best, number, accuracy, allow_m)
-    calibration = _with_all(of_best, sessions, refined)
-    calibration.residuals["boards"] = _facts(names, solutions, problem, refined, boards)
-    calibration.residuals.update(_held_out(problem, refined))
-    calibration.residuals["coverage"] = estimate.coverage(pooled.observations, pooled.width, pooled.height)
-    return Boards(calibration, boards, tuple(mounts))
+    residuals = replace(
+        of_best.residuals,
+        rms_px=refined.rms_px,
+        views_used=len(refined.state.corrections),
+        corners=int(refined.inliers.sum()),
+        corners_left_out=int((~refined.inliers).sum()),
+        boards=_facts(names, solutions, problem, refined, boards),
+        coverage=estimate.coverage(pooled.observations, pooled.width, pooled.height),
+        **_held_out(problem, refined),
+    )
+    hashes = [session.provenance.get("frames_sha256") for session in sessions]
+    provenance = {**of_best.provenance, "method": "hand-eye, several targets", "together_sha256": hashes}
+    return Boards(replace(of_best, residuals=residuals, provenance=provenance), boards, tuple(mounts))
 
 
 def _check_alike(sessions: Sequence[TargetSession], names: Sequence[str]) -> None:
@@ -161,19 +169,6 @@ def _boards(problem: Together, refined: Refined[TogetherState], covariance: Arra
     columns = [problem.columns_of(number)[-6:] for number in range(len(problem.sessions))]
     pairs = zip(refined.state.stand_from_board, columns, strict=True)
     return tuple(UncertainPose(board, covariance[np.ix_(own, own)]) for board, own in pairs)
-
-
-def _with_all(calibration: Calibration, sessions: Sequence[TargetSession], refined: Refined[TogetherState]) -> Calibration:
-    """`calibration` with the figures of all sessions instead of one's."""
-    counts = {
-        "rms_px": refined.rms_px,
-        "views_used": len(refined.state.corrections),
-        "corners": int(refined.inliers.sum()),
-        "corners_left_out": int((~refined.inliers).sum()),
-    }
-    hashes = [session.provenance.get("frames_sha256") for session in sessions]
-    provenance = {**calibration.provenance, "method": "hand-eye, several targets", "together_sha256": hashes}
-    return replace(calibration, residuals={**calibration.residuals, **counts}, provenance=provenance)
 
 
 def _held_out(problem: Together, refined: Refined[TogetherState]) -> dict[str, float | None]:

@@ -85,7 +85,7 @@ def _text(found: "Cameras", names: list[str]) -> str:
     for name, calibration in zip(names, found.calibrations, strict=True):
         (title, pose), *_ = calibration.poses.items()
         millimetres, degrees = pose.total_std
-        rms = calibration.residuals["rms_px"]
+        rms = calibration.residuals.rms_px
         lines.append(f"{name:<20} {title} to {millimetres:.3f} mm, {degrees:.4f} deg; {rms:.3f} px rms")
     for name, value in zip(names[1:], found.first_from_camera, strict=True):
         place = ", ".join(f"{one:.2f}" for one in 1e3 * value.matrix[:3, 3])

@@ -206,8 +206,8 @@ class _Fit:
                 columns.append((self.residuals(x, other) - self.residuals(x))[rows] / STEP)
             return np.stack(columns, axis=1)
 
-        shift_mm = float(calibration.residuals.get("arm_translation_mm", 0.05))
-        turn_deg = float(calibration.residuals.get("arm_rotation_deg", 0.01))
+        shift_mm = calibration.residuals.arm_translation_mm or 0.05
+        turn_deg = calibration.residuals.arm_rotation_deg or 0.01
         arm = np.diag(np.repeat([1e-3 * shift_mm, np.deg2rad(turn_deg)], 3) ** 2)
         found = [(by(flanges, np.ones(len(flanges), bool)), mount.covariance)]
         place = _places(flanges)

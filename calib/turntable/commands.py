@@ -59,7 +59,7 @@ def turntable(
         "turned_per_reported": found.scale,
         "turned_per_reported_std": found.scale_std,
     }
-    result = replace(given, turntable=found.axis, residuals={**given.residuals, "turntable": facts})
+    result = replace(given, turntable=found.axis, residuals=replace(given.residuals, turntable=facts))
     result.save(out)
     content: dict[str, Any] = {"out": str(out), "turntable": found.axis.to_json(), **facts, "notes": _notes(found)}
     content |= {"shift_std_mm": found.axis.shift_std_mm, "tilt_std_deg": found.axis.tilt_std_deg}

@@ -129,4 +129,4 @@ def test_a_wrong_view_is_left_out():
     reported = session.base_from_flange.copy()
     reported[4, :3, 3] += [0.01, 0, 0]
     found = calibrate.calibrate_handeye(replace(session, base_from_flange=reported), accuracy=ARM)
-    assert found.residuals["views_left_out"] == ["004"]
+    assert found.residuals.views_left_out == ["004"]

@@ -97,7 +97,7 @@ def test_refinement_of_visp_stays_with_the_published_answer_and_admits_the_arm_e
     # the arm's poses scatter by millimetres; both answers must agree within the stated uncertainty
     assert (np.abs(difference) < 2 * found.flange_from_camera.translation_std_mm).all()
     assert np.linalg.norm(difference) < 1.0
-    assert found.residuals["arm_translation_mm"] > 1 and any("less accurate than stated" in note for note in notes(found))
+    assert found.residuals.arm_translation_mm > 1 and any("less accurate than stated" in note for note in notes(found))
 
 
 def test_refinement_of_charuco_agrees_within_its_uncertainty(charuco, published):
@@ -106,7 +106,7 @@ def test_refinement_of_charuco_agrees_within_its_uncertainty(charuco, published)
     difference = 1e3 * (found.flange_from_camera.matrix[:3, 3] - published[:3, 3])
     assert (np.abs(difference) < 3 * found.flange_from_camera.translation_std_mm).all()
     assert np.linalg.norm(difference) < 2.0
-    assert found.residuals["rms_px"] < 0.4  # the drawn axes spoil a few corners
+    assert found.residuals.rms_px < 0.4  # the drawn axes spoil a few corners
 
 
 def test_camera_beside_the_arm_is_in_front_of_it(beside):
@@ -115,7 +115,7 @@ def test_camera_beside_the_arm_is_in_front_of_it(beside):
     found = calibrate_handeye(session, Calibration(camera, {}), ARM)
     place = found.base_from_camera.matrix
     assert 0.8 < place[0, 3] < 1.1 and place[0, 2] < -0.5, "a metre in front of the base, looking back at it"
-    assert found.residuals["rms_px"] < 0.5
+    assert found.residuals.rms_px < 0.5
 
 
 def test_poses_read_by_columns_are_refused_with_the_remedy(charuco):

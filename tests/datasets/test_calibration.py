@@ -9,6 +9,7 @@ from koala3d.datasets.calibration import Calibration, LinkErrors, UncertainPose
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core.errors import DatasetError, UsageError
 from koala3d.datasets.imaging.region import Region
+from koala3d.datasets.residuals import Residuals
 
 CAMERA = Camera(640, 480, 500.0, 501.0, 322.0, 239.0, k1=-0.1)
 POSE = UncertainPose(
@@ -17,14 +18,14 @@ POSE = UncertainPose(
 
 
 def test_everything_comes_back(tmp_path: Path) -> None:
-    more = {"region": Region(640, 480, 8, 4, 2), "residuals": {"rms_px": 0.1}, "provenance": {"method": "made up"}}
+    more = {"region": Region(640, 480, 8, 4, 2), "residuals": Residuals(rms_px=0.1), "provenance": {"method": "made up"}}
     Calibration(CAMERA, {"fx": 0.1}, POSE, **more).save(tmp_path / "c.json")
     again = Calibration.load(tmp_path / "c.json")
     assert again.camera == CAMERA and again.camera_std == {"fx": 0.1} and again.base_from_board is None
     assert again.flange_from_camera is not None
     assert np.abs(again.flange_from_camera.matrix - POSE.matrix).max() < 1e-15
     assert np.array_equal(again.flange_from_camera.covariance, POSE.covariance)
-    assert (again.residuals, again.provenance) == ({"rms_px": 0.1}, {"method": "made up"})
+    assert (again.residuals, again.provenance) == (Residuals(rms_px=0.1), {"method": "made up"})
     assert again.region == more["region"]
 
 
@@ -64,6 +65,10 @@ def test_a_rotation_moves_a_distant_origin() -> None:
         ({"provenance": {"notes": [1.0, float("nan")]}}, r"c.json, provenance, notes, 1: number is not finite \(nan\)"),
         ({"camera_std": {"fx": float("inf")}}, "c.json, camera_std, fx: number is not finite"),
         ({"residuals": [1]}, "c.json, residuals: is not made of names and values"),
+        ({"residuals": {"rms_px": "small"}}, "c.json, residuals, rms_px: is not of its kind"),
+        ({"residuals": {"views_used": True}}, "c.json, residuals, views_used: is not of its kind"),
+        ({"residuals": {"boards": {}}}, "c.json, residuals, boards: is not of its kind"),
+        ({"residuals": {"rig_correlation": {"names": ["fx"], "matrix": [1]}}}, "rig_correlation: is not of its kind"),
         ({"region": {"width": 640, "height": 0}}, "c.json, region: sensor region is impossible"),
         ({"format": "koala-scene"}, "is not a koala-calibration file"),
         ({"version": 2}, "version 2 cannot be read"),

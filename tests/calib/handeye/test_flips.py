@@ -49,7 +49,7 @@ def test_hand_eye_of_an_ambiguous_board_is_right():
     found = calibrate.calibrate_handeye(session, accuracy=ARM)
     distance, angle = pose.difference(found.flange_from_camera.matrix, simulated.truth.mount_from_camera)
     assert distance < 4e-4 and np.rad2deg(angle) < 0.08  # five times the stated deviation
-    assert found.residuals["views_left_out"] == []
+    assert found.residuals.views_left_out == []
 
 
 def test_half_a_turn_maps_the_board_to_itself():

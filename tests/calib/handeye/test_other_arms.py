@@ -84,7 +84,7 @@ def test_offsets_come_out_within_their_deviations(name: str) -> None:
     assert joints.shape == (arm.count,)
     off = (joints - offsets)[inner] / std[inner]
     assert np.abs(off).max() < 4
-    assert found.residuals["held_out_px"] < 0.8 * found.residuals["held_out_px_without_link_errors"]
+    assert found.residuals.held_out_px < 0.8 * found.residuals.held_out_px_without_link_errors
     corrected = found.camera_pose(session.base_from_flange, session.joints)
     errors = np.concatenate([np.zeros(3 * arm.count), offsets])
     truth = kinematics.corrected(session.base_from_flange, session.joints, errors, arm.links) @ RIG.flange_from_camera

@@ -93,8 +93,8 @@ def test_wrong_views_are_named_and_do_no_harm(spoil):
     simulated, rng, bad = drawn(1)
     spoilt, bad = spoil(simulated, rng, bad)
     found = calibrate.calibrate_handeye(spoilt, accuracy=ARM)
-    assert found.residuals["views_left_out"] and set(found.residuals["views_left_out"]) == {f"{i:03d}" for i in bad}
-    assert all(found.residuals["why_left_out"][f"{i:03d}"] for i in bad)
+    assert found.residuals.views_left_out and set(found.residuals.views_left_out) == {f"{i:03d}" for i in bad}
+    assert all(found.residuals.why_left_out[f"{i:03d}"] for i in bad)
     distance, angle = pose.difference(found.flange_from_camera.matrix, without(tuple(bad)))
     # as if the wrong views had never been taken: a hundredth of the error itself
     assert distance < 5e-7 and np.rad2deg(angle) < 2e-4
@@ -109,7 +109,7 @@ def test_some_wrong_corners_in_a_view_are_left_out():
 
     spoilt, _ = change_corners(simulated, bad, change)
     found = calibrate.calibrate_handeye(spoilt, accuracy=ARM)
-    assert found.residuals["views_left_out"] == []
+    assert found.residuals.views_left_out == []
     millimetres, degrees = error(found, simulated)
     assert millimetres < 0.1 and degrees < 0.03  # three times the median of clean sessions
 
@@ -118,7 +118,7 @@ def test_an_honest_session_keeps_all_its_views():
     for seed in range(2):
         simulated, _, _ = drawn(10 + seed)
         found = calibrate.calibrate_handeye(session(simulated.observations(), simulated.session.base_from_flange), accuracy=ARM)
-        assert found.residuals["views_left_out"] == []
+        assert found.residuals.views_left_out == []
 
 
 @pytest.mark.slow

@@ -81,8 +81,8 @@ def test_the_camera_is_nearer_to_where_it_is(seen: TargetSession, splined: Calib
     pixels = np.concatenate([o.pixels for o in seen.observations])
     (place, rays), (place_plain, rays_plain) = off(splined, pixels), off(plain, pixels)
     assert place < 0.5 * place_plain and rays < 0.7 * rays_plain  # medians of five: 0.07 of 0.14 mm, 0.12 of 0.47 px
-    assert splined.residuals["held_out_px"] < plain.residuals["held_out_px"]
-    assert splined.residuals["rms_px"] < 0.1 * np.sqrt(2) < plain.residuals["rms_px"]
+    assert splined.residuals.held_out_px < plain.residuals.held_out_px
+    assert splined.residuals.rms_px < 0.1 * np.sqrt(2) < plain.residuals.rms_px
 
 
 def test_another_session_is_predicted_better(splined: Calibration, plain: Calibration) -> None:
@@ -108,7 +108,7 @@ def test_a_session_with_this_camera_given_counts_its_knots_with_their_uncertaint
     assert len(knots) == 2 * splined.camera.spline.grid.count
     before, after = (np.array([one.camera_std[name] for name in knots]) for one in (splined, found))
     assert (after < 1.001 * before).all() and after.mean() < before.mean()
-    assert found.residuals["rms_px"] < 0.1 * np.sqrt(2)
+    assert found.residuals.rms_px < 0.1 * np.sqrt(2)
 
 
 @pytest.mark.slow
@@ -136,7 +136,7 @@ def test_summary_and_page_say_so_in_a_line(seen: TargetSession, splined: Calibra
     assert "12 x 8 knots move pixels by up to" in text and "knot 0" not in text
     held = evidence.gather(splined, seen)
     assert np.sqrt(np.mean((held.residuals[held.kind][held.inliers] ** 2).sum(1))) == pytest.approx(
-        splined.residuals["rms_px"], rel=0.01
+        splined.residuals.rms_px, rel=0.01
     )
     page = ReportPage("Calibration")
     report._camera(page, splined)
@@ -162,9 +162,9 @@ def test_five_sessions_of_each_kind(kind: str) -> None:
         pixels = np.concatenate([o.pixels for o in drawn.observations])
         taken += calibrate.calibrate_intrinsics(drawn, "auto").camera.spline is not None
         for lens, found in rows.items():
-            alone = calibrate.calibrate_intrinsics(drawn, lens).residuals["held_out_px"]
+            alone = calibrate.calibrate_intrinsics(drawn, lens).residuals.held_out_px
             rig_found = calibrate.calibrate_handeye(drawn, lens=lens)
-            found.append((alone, rig_found.residuals["held_out_px"], *off(rig_found, pixels, rig)))
+            found.append((alone, rig_found.residuals.held_out_px, *off(rig_found, pixels, rig)))
     medians = {lens: np.median(found, axis=0) for lens, found in rows.items()}
     print(f"\n{kind}: auto takes knots in {taken} of 5")
     for lens, (alone, arm, place, rays) in medians.items():

@@ -133,7 +133,7 @@ def test_a_relaxed_bound_accepts_a_poor_arm_and_marks_the_calibration():
     with pytest.raises(Unobservable, match=r"6\.7 mm"):
         calibrate.calibrate_handeye(session, accuracy=arm, allow_m=6e-3)
     found = calibrate.calibrate_handeye(session, accuracy=arm, allow_m=0.02)
-    assert found.residuals["allowed_mm"] == 20.0 and found.flange_from_camera is not None
+    assert found.residuals.allowed_mm == 20.0 and found.flange_from_camera is not None
     assert 5.0 < found.flange_from_camera.translation_std_mm.max() < 20.0
     said = summary.describe_calibration(found)
     assert "flange_from_camera (bound relaxed)" in said and "relaxed from 5 to 20 mm by --allow-mm; 7.3 mm is above it" in said

@@ -37,12 +37,12 @@ def evidence(calibration, session) -> Evidence:
 
 def test_residuals_are_those_of_the_stored_calibration(evidence, calibration) -> None:
     assert tuple(evidence.residuals) == (CORRECTED, REPORTED) and evidence.notes == ()
-    assert evidence.inliers.sum() == calibration.residuals["corners"]
+    assert evidence.inliers.sum() == calibration.residuals.corners
     # the corrections alone are fitted, with the stored sigmas: they differ from those of the refinement in the last steps
-    assert overall(evidence, CORRECTED) == pytest.approx(calibration.residuals["rms_px"], rel=1e-4)
+    assert overall(evidence, CORRECTED) == pytest.approx(calibration.residuals.rms_px, rel=1e-4)
     assert overall(evidence, REPORTED) > 1.2 * overall(evidence, CORRECTED)
     for sighting in evidence.sightings():
-        assert sighting.rms(CORRECTED) == pytest.approx(calibration.residuals["view_rms_px"][sighting.name], rel=1e-3)
+        assert sighting.rms(CORRECTED) == pytest.approx(calibration.residuals.view_rms_px[sighting.name], rel=1e-3)
 
 
 def test_nothing_is_estimated_again(session, calibration, monkeypatch) -> None:
@@ -53,7 +53,7 @@ def test_nothing_is_estimated_again(session, calibration, monkeypatch) -> None:
     monkeypatch.setattr(refine, "refine", refused)
     shifted = replace(calibration, camera=replace(calibration.camera, cx=calibration.camera.cx + 1))
     found = gather(shifted, session)
-    assert found.calibration is shifted and overall(found, CORRECTED) > 1.2 * calibration.residuals["rms_px"]
+    assert found.calibration is shifted and overall(found, CORRECTED) > 1.2 * calibration.residuals.rms_px
 
 
 def test_cameras_stand_where_they_truly_stood(evidence, recorded) -> None:
@@ -77,7 +77,8 @@ def test_a_camera_alone_has_its_own_residuals(calibration, session) -> None:
 
 
 def test_views_left_out_are_shown_without_residuals(calibration, session) -> None:
-    facts = {**calibration.residuals, "views_left_out": ["003"], "why_left_out": {"003": "arm and picture disagree"}}
+    reasons = {"003": "arm and picture disagree"}
+    facts = replace(calibration.residuals, views_left_out=["003"], why_left_out=reasons)
     found = gather(replace(calibration, residuals=facts), session)
     shown = {sighting.name: sighting for sighting in found.sightings()}
     assert shown["003"].left_out == "arm and picture disagree" and shown["003"].residuals == {}
@@ -98,7 +99,7 @@ def test_an_ambiguous_board_is_read_as_the_calibration_has_it() -> None:
     turned = [replace(o, ids=last - o.ids, points=rig.board.points[last - o.ids]) for o in session.observations[::2]]
     mixed = [turned[i // 2] if i % 2 == 0 else o for i, o in enumerate(session.observations)]
     evidence = gather(found, replace(session, observations=tuple(mixed)))
-    assert overall(evidence, CORRECTED) == pytest.approx(found.residuals["rms_px"], rel=1e-3)
+    assert overall(evidence, CORRECTED) == pytest.approx(found.residuals.rms_px, rel=1e-3)
 
 
 def test_a_missing_recording_is_named(calibration, recorded, tmp_path: Path) -> None:

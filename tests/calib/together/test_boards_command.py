@@ -38,8 +38,8 @@ def test_two_targets_in_one_recording(calib, both_in_one, tmp_path):
     assert result.returncode == 0, result.stderr
     assert "tags.yaml: " in result.stdout and "placed to" in result.stdout
     calibration = Calibration.load(tmp_path / "calibration.json")
-    assert calibration.residuals["views_used"] == 10  # pictures, not sessions
-    charuco, tags = calibration.residuals["boards"]
+    assert calibration.residuals.views_used == 10  # pictures, not sessions
+    charuco, tags = calibration.residuals.boards
     assert charuco["views"] == 10 and tags["views"] >= 3
     placed = UncertainPose.from_json(tags["base_from_board"], where="tags")
     distance, _ = pose.difference(placed.matrix, base_from_tags)

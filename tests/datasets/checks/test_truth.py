@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from koala3d.datasets import pose, truth
+from koala3d.datasets import pose
 from koala3d.datasets.calibration import Calibration, UncertainPose
 from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.checks import truth
 from koala3d.datasets.core.errors import DatasetError, UsageError
 
 CAMERA = Camera(48, 40, 70.0, 70.0, 24.0, 20.0)
