@@ -24,10 +24,10 @@ from koala3d.calib.handeye import (
     uncertainty,
     verify,
 )
-from koala3d.calib.handeye.model import Accuracy, Session, State
+from koala3d.calib.handeye.model import Accuracy, Measurements, State
 from koala3d.calib.handeye.refine import Refined
 from koala3d.calib.intrinsics import estimate, lenses, projection, splined
-from koala3d.calib.intrinsics.known import Known
+from koala3d.calib.intrinsics.prior import IntrinsicsPrior
 from koala3d.calib.sessions.session import TargetSession
 from koala3d.calib.targets import screening
 from koala3d.datasets import pose
@@ -62,7 +62,7 @@ def _intrinsics(session: TargetSession, lens: str) -> estimate.Intrinsics:
     return estimate.calibrate(session.observations, session.width, session.height, lenses=candidates, spline=spline)
 
 
-def knots(camera: Camera, free: tuple[str, ...], session: TargetSession) -> Known | None:
+def knots(camera: Camera, free: tuple[str, ...], session: TargetSession) -> IntrinsicsPrior | None:
     """What is assumed of the knots of a camera that are `free`; None where there are none."""
     pixels = estimate.flat(session.observations).pixels
     return splined.prior(camera, free, pixels) if any(map(projection.is_knot, free)) else None
@@ -102,7 +102,7 @@ class First:
     session: TargetSession
     camera: Camera
     free: tuple[str, ...]
-    known: Known | None
+    known: IntrinsicsPrior | None
     sigma_px: float  # standard deviation of a corner per axis
     left_out: dict[str, str]
 
@@ -193,14 +193,14 @@ def first_stage(
     return First(session, given.camera, free, known, sigma_px, left_out)
 
 
-def _known(given: Calibration, free: tuple[str, ...]) -> Known:
+def _known(given: Calibration, free: tuple[str, ...]) -> IntrinsicsPrior:
     """Intrinsics of another session with their covariance; independent where the file lacks their correlation."""
     std, stored = np.array([given.camera_std[name] for name in free]), given.residuals.camera_correlation
     among = np.eye(len(free))
     if stored is not None and set(free) <= set(stored.names):
         values, vectors = np.linalg.eigh(stored.among(free))  # rounded in the file: kept positive definite
         among = (vectors * np.maximum(values, 1e-6)) @ vectors.T
-    return Known(free, projection.vector(given.camera)[projection.columns(free)], among * np.outer(std, std))
+    return IntrinsicsPrior(free, projection.vector(given.camera)[projection.columns(free)], among * np.outer(std, std))
 
 
 def finished(solution: Solution, accuracy: Accuracy, given: bool, allow_m: float = uncertainty.MAX_STD_M) -> Calibration:
@@ -257,7 +257,7 @@ def described(solution: Solution, arm: repeating.Repeating, accuracy: Accuracy, 
     )
 
 
-def _by_view(session: TargetSession, measured: Session, refined: Refined) -> dict[str, float]:
+def _by_view(session: TargetSession, measured: Measurements, refined: Refined) -> dict[str, float]:
     """Rms [px] of the inliers by name of the view; views without inliers are missing."""
     return {
         o.name: verify.rms(refined.residuals[chosen])

@@ -15,7 +15,7 @@ from koala3d.calib import calibrate
 from koala3d.calib.arrays import Array, Mask
 from koala3d.calib.calibrate import STATED
 from koala3d.calib.handeye import closed_forms, model, refine, verify
-from koala3d.calib.handeye.model import Accuracy, Session, State
+from koala3d.calib.handeye.model import Accuracy, Measurements, State
 from koala3d.calib.handeye.outliers import Fit
 from koala3d.calib.handeye.refine import Refined
 from koala3d.calib.intrinsics import projection
@@ -64,7 +64,7 @@ def compare(
     return rows
 
 
-def _kept(session: TargetSession, measured: Session, fit: Fit) -> Mask:
+def _kept(session: TargetSession, measured: Measurements, fit: Fit) -> Mask:
     """(n,) which corners of all views the refinement kept."""
     kept, numbers = np.zeros(len(measured.view), bool), {o.name: i for i, o in enumerate(fit.session.observations)}
     for i, observation in enumerate(session.observations):
@@ -74,7 +74,7 @@ def _kept(session: TargetSession, measured: Session, fit: Fit) -> Mask:
 
 
 def _refined(
-    name: str, session: TargetSession, boards: Array, measured: Session, kept: Mask, refined: Refined, used: Mask
+    name: str, session: TargetSession, boards: Array, measured: Measurements, kept: Mask, refined: Refined, used: Mask
 ) -> Judged:
     """The refinement of the views that are `used` (views,), which also predicts the others."""
     views, pose_found = len(boards), refined.state.mount_from_camera
@@ -87,7 +87,7 @@ def _refined(
     return Judged(name, pose_found, *residual, *_errors(measured, kept, fit), int(used.sum()))
 
 
-def _errors(measured: Session, kept: Mask, fit: Callable[[Mask], State]) -> tuple[float, float, float, float]:
+def _errors(measured: Measurements, kept: Mask, fit: Callable[[Mask], State]) -> tuple[float, float, float, float]:
     """Held-out errors over every corner ([px], [mm]) and over those kept; NaN if a fold could not be fitted."""
     found = verify.predicted(measured, kept, fit)
     if found is None:
@@ -96,7 +96,7 @@ def _errors(measured: Session, kept: Mask, fit: Callable[[Mask], State]) -> tupl
     return all_px, all_mm, px, mm
 
 
-def _closed_form(name: str, session: TargetSession, boards: Array, measured: Session, kept: Mask, camera: Array) -> Judged:
+def _closed_form(name: str, session: TargetSession, boards: Array, measured: Measurements, kept: Mask, camera: Array) -> Judged:
     """A closed form on all views, and its held-out errors."""
     mount, views = session.stand_from_mount, len(boards)
 

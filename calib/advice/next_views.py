@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import yaml
 
-from koala3d.calib.advice.information import Known, informations
-from koala3d.calib.advice.patterns import Pattern, Rig, viewpoints
+from koala3d.calib.advice.information import Knowledge, informations
+from koala3d.calib.advice.patterns import Rig, ViewRange, viewpoints
 from koala3d.calib.arrays import Array
 from koala3d.calib.calibrate import Solution
 from koala3d.calib.errors import CalibrationError
@@ -52,7 +52,7 @@ def plan(solution: Solution, count: int, *, reach: Array | None = None, grow_m: 
     rig = Rig(camera, fit.session.board, state.mount_from_camera, state.stand_from_board)
     recorded = np.stack([flown[:, :3, 3].min(0) - grow_m, flown[:, :3, 3].max(0) + grow_m])
     candidates = _candidates(np.random.default_rng(seed), rig, flown, recorded if reach is None else reach)
-    known = Known(camera, rig.board, fit.measured.free, state, fit.refined.sigmas, fit.refined.information)
+    known = Knowledge(camera, rig.board, fit.measured.free, state, fit.refined.sigmas, fit.refined.information)
     told = informations(known, np.array(candidates).reshape(-1, 4, 4) @ pose.inverse(state.mount_from_camera))
     showing = [(view, information) for view, information in zip(candidates, told, strict=True) if information is not None]
     if not showing:
@@ -72,7 +72,7 @@ def _candidates(rng: np.random.Generator, rig: Rig, flown: Array, reach: Array) 
     in_board = pose.inverse(rig.base_from_board) @ flown
     distance = -in_board[:, 2, 3]
     distances = 0.8 * float(distance.min()), 1.2 * float(distance.max())
-    pattern = Pattern((0.0, MAX_TILT_DEG), distances, shift_m=0.25 * float(np.ptp(rig.board.points)))
+    pattern = ViewRange((0.0, MAX_TILT_DEG), distances, shift_m=0.25 * float(np.ptp(rig.board.points)))
     drawn = viewpoints(rng, rig, 20 * CANDIDATES, pattern)
     within = np.all((drawn[:, :3, 3] >= reach[0]) & (drawn[:, :3, 3] <= reach[1]), axis=1)
     return list(drawn[within][:CANDIDATES])

@@ -11,7 +11,7 @@ import numpy as np
 
 from koala3d.calib.advice import information
 from koala3d.calib.advice.adviser import Adviser, Wanted
-from koala3d.calib.advice.information import Known
+from koala3d.calib.advice.information import Knowledge
 from koala3d.calib.advice.patterns import Rig
 from koala3d.calib.advice.serve import answered
 from koala3d.calib.advice.simulate import ARM, KOALA, SIGMA_PX, simulate
@@ -98,7 +98,7 @@ class Rehearsed:
         state = replace(state, mount_from_camera=rig.flange_from_camera, stand_from_board=rig.base_from_board)
         sigmas = Sigmas(SIGMA_PX, ARM.translation_m, ARM.rotation_rad)
         size = len(lenses.USUAL.free) + 12
-        known = Known(rig.camera, rig.board, lenses.USUAL.free, state, sigmas, np.zeros((size, size)))
+        known = Knowledge(rig.camera, rig.board, lenses.USUAL.free, state, sigmas, np.zeros((size, size)))
         told = [one for one in information.informations(known, np.stack(self.flown)) if one is not None]
         covariance = information.at_the_pose(information.pose_covariance(np.sum(told, axis=0)), state)
         variance = np.diag(covariance)

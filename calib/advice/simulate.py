@@ -12,7 +12,7 @@ from koala3d.calib.advice.information import inside_image
 from koala3d.calib.advice.patterns import Rig
 from koala3d.calib.arrays import Array
 from koala3d.calib.handeye import model
-from koala3d.calib.handeye.model import Accuracy, Session, State
+from koala3d.calib.handeye.model import Accuracy, Measurements, State
 from koala3d.calib.intrinsics import projection
 from koala3d.calib.sessions.session import TargetSession
 from koala3d.calib.targets.detection import Observation
@@ -39,7 +39,7 @@ class Simulated:
 
     rig: Rig
     base_from_camera: Array  # (views, 4, 4) where the camera truly was
-    session: Session
+    session: Measurements
     truth: State  # the truth, corrections included, so that noise-free corners are predicted exactly
 
     @property
@@ -77,7 +77,9 @@ def simulate(
     points = rig.board.points
     truth = State(projection.vector(rig.camera), rig.flange_from_camera, rig.base_from_board, errors)
     view, unseen = np.repeat(np.arange(views), len(points)), np.zeros((views * len(points), 2))
-    every = Session(reported, view, unseen, np.tile(points, (views, 1)), free, accuracy=arm, form=projection.form(rig.camera))
+    every = Measurements(
+        reported, view, unseen, np.tile(points, (views, 1)), free, accuracy=arm, form=projection.form(rig.camera)
+    )
     truly = every if printed is None else replace(every, points=np.tile(printed, (views, 1)))
     pixels = projection.project(model.camera_points(truly, truth), truth.intrinsics, every.form)[0]
     session = replace(every, pixels=pixels + rng.normal(0, 1, pixels.shape) * sigma_px).some(inside_image(pixels, rig.camera))

@@ -17,7 +17,7 @@ from koala3d.calib.arrays import Array
 from koala3d.datasets.residuals import Residuals
 
 if TYPE_CHECKING:
-    from koala3d.calib.handeye.model import Session
+    from koala3d.calib.handeye.model import Measurements
     from koala3d.calib.handeye.refine import Refined
 
 NAMES = (
@@ -44,7 +44,7 @@ def by_shape(points: Array, extent: Array) -> Array:
     return found
 
 
-def facts(measured: "Session", refined: "Refined", covariance: Array) -> dict[str, Any]:
+def facts(measured: "Measurements", refined: "Refined", covariance: Array) -> dict[str, Any]:
     """For the calibration file: the shape with its standard deviations, 0 where it was not estimated. Nothing if none was."""
     if not measured.shaped:
         return {}

@@ -39,7 +39,7 @@ class Sighting:
 
 
 @dataclass(frozen=True)
-class Evidence:
+class CalibrationEvidence:
     """A stored calibration and a recording, corner by corner: n corners of the views that the calibration was made from."""
 
     calibration: Calibration
@@ -112,7 +112,7 @@ def poses_of(calibration: Calibration, session: TargetSession) -> tuple[Array, A
     return mount.matrix, stand.matrix
 
 
-def gather(calibration: Calibration, session: TargetSession) -> Evidence:
+def gather(calibration: Calibration, session: TargetSession) -> CalibrationEvidence:
     """Hold a stored calibration against a session.
 
     Raises UsageError for images of another size, CalibrationError where the recording does not fit the calibration at all.
@@ -137,7 +137,7 @@ def gather(calibration: Calibration, session: TargetSession) -> Evidence:
         refined = refine.with_corrections(measured, state, sigmas_of(calibration))
         plain = verify.errors(measured, replace(state, link_errors=0 * errors))[0]
         found = {CORRECTED: refined.residuals, REPORTED: plain}, refined.inliers, refined.state.corrections
-    return Evidence(calibration, session, boards, chosen, measured.view, measured.pixels, *found)
+    return CalibrationEvidence(calibration, session, boards, chosen, measured.view, measured.pixels, *found)
 
 
 def sigmas_of(calibration: Calibration) -> refine.Sigmas:

@@ -8,7 +8,7 @@ from koala3d.calib.errors import CalibrationError
 from koala3d.calib.intrinsics import crossval, estimate, lenses, projection, splined
 from koala3d.calib.intrinsics.over_image import Map
 from koala3d.calib.page import figures, maps
-from koala3d.calib.page.evidence import Evidence
+from koala3d.calib.page.evidence import CalibrationEvidence
 from koala3d.calib.page.summary import RELAXED, notes
 from koala3d.datasets import pose
 from koala3d.datasets.calibration import Calibration, LinkErrors, UncertainPose
@@ -29,7 +29,7 @@ MEANINGS = {
 
 
 def page(
-    evidence: Evidence, *, made_by: str = "", distance_m: float = 0.5, others: Mapping[str, Map] | None = None
+    evidence: CalibrationEvidence, *, made_by: str = "", distance_m: float = 0.5, others: Mapping[str, Map] | None = None
 ) -> ReportPage:
     """The page.
 
@@ -124,7 +124,7 @@ def _link_rows(found: LinkErrors) -> Iterator[tuple[str, Number, str]]:
             yield name, Number(float(error), str(unit), float(std)), ""
 
 
-def _figures(report: ReportPage, evidence: Evidence) -> None:
+def _figures(report: ReportPage, evidence: CalibrationEvidence) -> None:
     def add(title: str, words: str, png: bytes) -> None:
         report.section(title, words)
         report.picture(png, title)
@@ -140,7 +140,7 @@ def _figures(report: ReportPage, evidence: Evidence) -> None:
         add("Rotations", words, figures.rotations(evidence))
 
 
-def _cross_validation(report: ReportPage, evidence: Evidence) -> None:
+def _cross_validation(report: ReportPage, evidence: CalibrationEvidence) -> None:
     """The map of differences between two halves of the views; a sentence where a half is not enough."""
     title, calibration = "Two halves of the views", evidence.calibration
     report.section(title, "Do not trust the calibration where cameras from two halves of the views disagree.")

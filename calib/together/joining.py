@@ -15,7 +15,7 @@ from koala3d.calib.handeye.model import Accuracy
 from koala3d.calib.handeye.refine import Refined
 from koala3d.calib.sessions.session import TargetSession
 from koala3d.calib.solver.elimination import covariance_of
-from koala3d.calib.together.model import Together, TogetherState
+from koala3d.calib.together.model import JointMeasurements, JointState
 from koala3d.datasets import pose
 from koala3d.datasets.calibration import Calibration, UncertainPose
 from koala3d.datasets.core.errors import UsageError
@@ -63,7 +63,7 @@ def stops(sessions: Sequence[TargetSession], recordings: Sequence[object]) -> tu
     return tuple(np.array([places.setdefault((one, o.name), len(places)) for o in s.observations]) for s, one in pairs)
 
 
-def _own_part(problem: Together, refined: Refined[TogetherState], covariance: Array, number: int) -> Refined[Any]:
+def _own_part(problem: JointMeasurements, refined: Refined[JointState], covariance: Array, number: int) -> Refined[Any]:
     """One session's part of what was found together; `covariance` is that of its own unknowns."""
     corners, noise = problem.corners_of(number), problem.noise[problem.cameras[number]]
     return replace(
@@ -77,8 +77,8 @@ def _own_part(problem: Together, refined: Refined[TogetherState], covariance: Ar
 
 
 def calibration_of(
-    problem: Together,
-    refined: Refined[TogetherState],
+    problem: JointMeasurements,
+    refined: Refined[JointState],
     arm: repeating.Repeating,
     solution: Solution,
     number: int,

@@ -11,7 +11,7 @@ from koala3d.datasets.scene import Scene, View
 from koala3d.datasets.splits import evenly
 from koala3d.datasets.structure import bounds, matching
 from koala3d.datasets.structure.epipolar import Pairs
-from koala3d.datasets.structure.matching import Features, Matches
+from koala3d.datasets.structure.matching import Matches, ViewFeatures
 from koala3d.datasets.structure.triangulate import Cloud, triangulate
 
 VIEWS = 80
@@ -76,7 +76,7 @@ class Evidence:
     def with_cameras(self, directions: list[NDArray[np.float64]], matrices: NDArray[np.float64]) -> "Evidence":
         """The same with other rays and poses: what is checked next is free of an error that is known."""
         features = [
-            Features(ray, one.descriptors, one.colours, one.pixel)
+            ViewFeatures(ray, one.descriptors, one.colours, one.pixel)
             for ray, one in zip(directions, self.matches.features, strict=True)
         ]
         return replace(self, matches=Matches(self.matches.views, tuple(features), self.matches.pairs), matrices=matrices)

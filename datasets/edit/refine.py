@@ -47,7 +47,7 @@ class Tracks:
 
 
 @dataclass(frozen=True)
-class Refined:
+class RefinedScene:
     """Result of bundle adjustment."""
 
     scene: Scene  # with the poses to use, refined or unchanged
@@ -64,7 +64,7 @@ class Refined:
         return {k: v for k, v in vars(self).items() if k != "scene"}
 
 
-def refined(scene: Scene, prior: Prior, *, enough_px: float = ENOUGH_PX, seed: int = 0) -> Refined:
+def refined(scene: Scene, prior: Prior, *, enough_px: float = ENOUGH_PX, seed: int = 0) -> RefinedScene:
     """Refine the poses of `scene` by its pictures, within the arm's accuracy `prior`.
 
     Raises DatasetError for views of several cameras, for a splined lens, and for too few points found in the pictures.
@@ -90,7 +90,7 @@ def refined(scene: Scene, prior: Prior, *, enough_px: float = ENOUGH_PX, seed: i
         before = reprojection(tracks, judged, given, camera)
         if np.median(before) <= enough_px:
             reason = f"the arm's poses already explain the pictures to {np.median(before):.2f} px"
-            return Refined(scene, False, reason, float(np.median(before)), None, None, None, points)
+            return RefinedScene(scene, False, reason, float(np.median(before)), None, None, None, points)
         moved = aligned(_adjusted(model, scene, set(aside.tolist()), prior.translation_m), given, prior)
     after = reprojection(tracks, judged, moved, camera)
     better = _score(after) < (1 - MIN_GAIN) * _score(before)
@@ -99,7 +99,7 @@ def refined(scene: Scene, prior: Prior, *, enough_px: float = ENOUGH_PX, seed: i
     if better:
         scene = scene.with_views(tuple(replace(v, world_from_camera=m) for v, m in zip(scene.views, moved, strict=True)))
     medians = float(np.median(before)), float(np.median(after))
-    return Refined(scene, better, reason, *medians, *pose.rms_difference(given, moved), points)
+    return RefinedScene(scene, better, reason, *medians, *pose.rms_difference(given, moved), points)
 
 
 def _score(errors: Array) -> float:

@@ -28,7 +28,7 @@ BLUR_PX = 2.0
 
 
 @dataclass(frozen=True, eq=False)
-class Features:
+class ViewFeatures:
     """Features of one view."""
 
     directions: NDArray[np.float64]
@@ -51,7 +51,7 @@ class Matches:
     """Features of several views and their correspondences."""
 
     views: tuple[View, ...]
-    features: tuple[Features, ...]
+    features: tuple[ViewFeatures, ...]
     pairs: tuple[tuple[int, int, NDArray[np.int64]], ...]
     """(first view, second view, (k, 2) indices of their features)."""
 
@@ -71,7 +71,7 @@ def matched(views: Sequence[View], pairs: Iterable[tuple[int, int]], *, side: in
     return joined(views, found, pairs)
 
 
-def joined(views: Sequence[View], found: Sequence["Features"], pairs: Iterable[tuple[int, int]]) -> Matches:
+def joined(views: Sequence[View], found: Sequence["ViewFeatures"], pairs: Iterable[tuple[int, int]]) -> Matches:
     """Matches of views whose features are known, between the given pairs."""
     pairs = list(pairs)
     with ThreadPoolExecutor(THREADS) as threads:
@@ -80,7 +80,7 @@ def joined(views: Sequence[View], found: Sequence["Features"], pairs: Iterable[t
     return Matches(tuple(views), tuple(found), tuple(kept))
 
 
-def detect(view: View, *, side: int = SIDE, count: int = COUNT) -> Features:
+def detect(view: View, *, side: int = SIDE, count: int = COUNT) -> ViewFeatures:
     """Features of a view; with an alpha or a mask, only those of the object. Raises as `View.read` does."""
     return detect_in(shrunk(view.read(), side), view, count=count)
 
@@ -94,7 +94,7 @@ def shrunk(picture: NDArray[np.float32], side: int = SIDE) -> NDArray[np.float32
     return np.asarray(cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA), np.float32)
 
 
-def detect_in(small: NDArray[np.float32], view: View, *, count: int = COUNT) -> Features:
+def detect_in(small: NDArray[np.float32], view: View, *, count: int = COUNT) -> ViewFeatures:
     """Features of a view in its picture at any size."""
     height, width = small.shape[:2]
     grey = 255 * small[..., :3].mean(-1)
@@ -103,7 +103,7 @@ def detect_in(small: NDArray[np.float32], view: View, *, count: int = COUNT) -> 
     found = sift.keypoints(grey, mask, count)
     directions = view.camera.scaled(width, height).directions(found.pixels)
     colours = _colours(small)[found.inside(width, height)]
-    return Features(directions, found.descriptors, colours, 1 / (view.camera.fx * width / view.camera.width))
+    return ViewFeatures(directions, found.descriptors, colours, 1 / (view.camera.fx * width / view.camera.width))
 
 
 def _colours(picture: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -119,7 +119,7 @@ def _colours(picture: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(cv2.GaussianBlur(light * alpha, (0, 0), BLUR_PX) / np.maximum(share, 1e-3), np.float32)
 
 
-def match(first: Features, second: Features) -> NDArray[np.int64]:
+def match(first: ViewFeatures, second: ViewFeatures) -> NDArray[np.int64]:
     """(k, 2) indices of features that are each other's best and clearly better than the second best."""
     if min(len(first.descriptors), len(second.descriptors)) < 2:
         return np.zeros((0, 2), np.int64)

@@ -20,7 +20,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from koala3d.calib.advice.patterns import Pattern, Rig, viewpoints
+from koala3d.calib.advice.patterns import Rig, ViewRange, viewpoints
 from koala3d.calib.advice.simulate import KOALA, Simulated, simulate
 from koala3d.calib.arrays import Array
 from koala3d.calib.handeye import closed_forms, refine
@@ -202,7 +202,7 @@ def measure(point: Point, trials: int, rng: np.random.Generator, rig: Rig = RIG,
 def _trial(point: Point, rng: np.random.Generator, rig: Rig, methods: dict[str, Errors]) -> Array:
     """(2,) what `bound` says of one session, whose errors are counted."""
     sigmas = refine.Sigmas(max(point.sigma_px, refine.MIN_SIGMA_PX), point.stated.translation_m, point.stated.rotation_rad)
-    flown = viewpoints(rng, rig, point.views, Pattern())
+    flown = viewpoints(rng, rig, point.views, ViewRange())
     drawn = simulate(rng, rig, flown, sigma_px=point.sigma_px, arm=point.arm, free=point.free)
     drawn = replace(drawn, session=replace(drawn.session, accuracy=point.stated))
     methods[DRAWN].add(drawn.truth.mount_from_camera, efficient(drawn, sigmas), 0.0)

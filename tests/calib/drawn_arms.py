@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from koala3d.calib.advice.patterns import Pattern, Rig, viewpoints
+from koala3d.calib.advice.patterns import Rig, ViewRange, viewpoints
 from koala3d.calib.advice.simulate import ARM, SIGMA_PX, simulate, target_session
 from koala3d.calib.arrays import Array
 from koala3d.calib.handeye.model import Accuracy
@@ -13,7 +13,7 @@ from koala3d.datasets import kinematics, pose
 from koala3d.datasets.calibration import UncertainPose
 from koala3d.datasets.kinematics import UR5E, Links
 
-PATTERN = Pattern((20.0, 50.0), (0.3, 0.5))
+PATTERN = ViewRange((20.0, 50.0), (0.3, 0.5))
 POSTURE = np.array([0.3, -1.8, 1.9, -1.6, -1.5, 0.5])  # near which the arm takes its views [rad]
 ATTEMPTS, STEPS, EXACT = 12, 25, 1e-9  # postures that are tried, Newton steps from each, largest distance left [m, rad]
 

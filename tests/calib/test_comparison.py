@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from koala3d.calib import comparison
-from koala3d.calib.advice.patterns import Pattern, viewpoints
+from koala3d.calib.advice.patterns import ViewRange, viewpoints
 from koala3d.calib.advice.simulate import KOALA, simulate, target_session
 from koala3d.calib.handeye import closed_forms, verify
 from koala3d.calib.handeye.model import Accuracy
@@ -17,7 +17,7 @@ ARM = Accuracy(2e-4, float(np.deg2rad(0.03)))
 @pytest.fixture(scope="module")
 def rows():
     rng = np.random.default_rng(0)
-    simulated = simulate(rng, KOALA, viewpoints(rng, KOALA, 15, Pattern()), sigma_px=0.2, arm=ARM)
+    simulated = simulate(rng, KOALA, viewpoints(rng, KOALA, 15, ViewRange()), sigma_px=0.2, arm=ARM)
     reported = simulated.session.base_from_flange.copy()
     reported[6] = reported[6] @ pose.from_rotation_vector([0, 0, 0], [0.004, 0, 0])
     session = target_session(simulated)
@@ -67,7 +67,7 @@ def test_every_method_is_judged_by_the_same_corners(rows):
 def test_held_out_errors_over_all_corners_are_those_of_a_plain_loop():
     """`verify.predicted` against predictions of each fold by itself."""
     rng = np.random.default_rng(1)
-    simulated = simulate(rng, KOALA, viewpoints(rng, KOALA, 7, Pattern()), sigma_px=0.2, arm=ARM)
+    simulated = simulate(rng, KOALA, viewpoints(rng, KOALA, 7, ViewRange()), sigma_px=0.2, arm=ARM)
     kept = np.arange(len(simulated.session.view)) % 3 > 0
     truth = simulated.truth
     found = verify.predicted(simulated.session, kept, lambda seen: truth)

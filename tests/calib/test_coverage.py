@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import chi2
 
 from koala3d.calib import calibrate
-from koala3d.calib.advice.patterns import Pattern, viewpoints
+from koala3d.calib.advice.patterns import ViewRange, viewpoints
 from koala3d.calib.advice.simulate import ARM, SIGMA_PX, simulate, target_session
 from koala3d.datasets import pose
 from tests.bench.handeye import ESTIMATED, RIG
@@ -20,7 +20,7 @@ def inside(truth, stated):
 
 def draw(seed, views):
     rng = np.random.default_rng([9, seed, views])
-    return simulate(rng, RIG, viewpoints(rng, RIG, views, Pattern()), sigma_px=SIGMA_PX, arm=ARM, free=ESTIMATED)
+    return simulate(rng, RIG, viewpoints(rng, RIG, views, ViewRange()), sigma_px=SIGMA_PX, arm=ARM, free=ESTIMATED)
 
 
 @pytest.mark.slow

@@ -23,7 +23,7 @@ COUNT = 4000
 
 
 @dataclass(frozen=True, eq=False)
-class Features:
+class PictureFeatures:
     """Features of one picture, in the pixels of the smaller picture that was searched."""
 
     width: int
@@ -46,7 +46,7 @@ class Features:
             np.savez(temporary, allow_pickle=False, **content)
 
     @classmethod
-    def load(cls, path: Path) -> "Features":
+    def load(cls, path: Path) -> "PictureFeatures":
         """Read `save`'s file. Raises DatasetError where it is damaged."""
         stored = arrays.read_npz(path)
         try:
@@ -58,7 +58,7 @@ class Features:
             raise DatasetError("features are not complete", where=path, why=str(error), remedy="remove it") from None
 
 
-def detect(path: Path) -> Features:
+def detect(path: Path) -> PictureFeatures:
     """Features and markers of an image file; where it has an alpha, only where that is opaque. Raises as `images.read` does."""
     import cv2
 
@@ -70,7 +70,7 @@ def detect(path: Path) -> Features:
     descriptors = np.rint(512 * found.descriptors[order]).clip(0, 255).astype(np.uint8)
     colours = picture[found.inside(width, height)][order]
     seen = tuple(markers.detect(grey))
-    return Features(width, height, found.pixels[order].astype(np.float32), descriptors, colours, seen)
+    return PictureFeatures(width, height, found.pixels[order].astype(np.float32), descriptors, colours, seen)
 
 
 def markers_of(path: Path) -> tuple[Marker, ...]:

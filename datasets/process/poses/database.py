@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.core.progress import Count, ignore
-from koala3d.datasets.process.pictures.features import Features
+from koala3d.datasets.process.pictures.features import PictureFeatures
 from koala3d.datasets.process.pictures.photographs import Photograph
 from koala3d.datasets.process.poses.pairs import Pairs
 
@@ -40,7 +40,7 @@ class Picture:
     photograph: Photograph
     camera: int
     """Pictures of one camera share its number."""
-    features: Features
+    features: PictureFeatures
 
 
 def require_library() -> None:

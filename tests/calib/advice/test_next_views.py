@@ -5,8 +5,8 @@ import pytest
 
 from koala3d.calib import calibrate
 from koala3d.calib.advice import next_views
-from koala3d.calib.advice.information import Known, informations
-from koala3d.calib.advice.patterns import Pattern, viewpoints
+from koala3d.calib.advice.information import Knowledge, informations
+from koala3d.calib.advice.patterns import ViewRange, viewpoints
 from koala3d.calib.advice.simulate import ARM, KOALA, simulate, target_session
 from koala3d.calib.errors import CalibrationError
 from koala3d.datasets import pose
@@ -19,7 +19,7 @@ RIG = replace(KOALA, board=Board.of("charuco", 12, 9, 0.03, 0.022))
 def solved():
     """(simulated, solution) of a session with weak tilts."""
     rng = np.random.default_rng(0)
-    simulated = simulate(rng, RIG, viewpoints(rng, RIG, 10, Pattern((5.0, 18.0))), sigma_px=0.1, arm=ARM)
+    simulated = simulate(rng, RIG, viewpoints(rng, RIG, 10, ViewRange((5.0, 18.0))), sigma_px=0.1, arm=ARM)
     return simulated, calibrate.solve(target_session(simulated), accuracy=ARM)
 
 
@@ -42,11 +42,11 @@ def test_advised_views_beat_as_many_at_random(solved):
     fit = solution.fit
     refined = fit.refined
     camera, mount = solution.first.camera, refined.state.mount_from_camera
-    known = Known(camera, RIG.board, fit.measured.free, refined.state, refined.sigmas, refined.information)
+    known = Knowledge(camera, RIG.board, fit.measured.free, refined.state, refined.sigmas, refined.information)
     rng = np.random.default_rng(2)
     drawn = []
     for _ in range(20):
-        views = viewpoints(rng, RIG, 3, Pattern((0.0, 50.0)))
+        views = viewpoints(rng, RIG, 3, ViewRange((0.0, 50.0)))
         told = informations(known, views @ pose.inverse(mount))
         total = refined.information + sum(i for i in told if i is not None)
         drawn.append(next_views._deviations(total, refined.state)[0])

@@ -1,6 +1,6 @@
 import numpy as np
 
-from koala3d.calib.advice.patterns import Pattern, viewpoints
+from koala3d.calib.advice.patterns import ViewRange, viewpoints
 from koala3d.calib.advice.simulate import KOALA, simulate
 from koala3d.calib.handeye import model
 from koala3d.calib.handeye.model import Accuracy
@@ -11,12 +11,12 @@ from koala3d.datasets import pose
 def draw(pattern=None, sigma_px=0.0, arm=None, seed=0, views=12):
     rng = np.random.default_rng(seed)
     return simulate(
-        rng, KOALA, viewpoints(rng, KOALA, views, pattern or Pattern()), sigma_px=sigma_px, arm=arm or Accuracy(1e-4, 1e-3)
+        rng, KOALA, viewpoints(rng, KOALA, views, pattern or ViewRange()), sigma_px=sigma_px, arm=arm or Accuracy(1e-4, 1e-3)
     )
 
 
 def test_views_keep_to_their_pattern():
-    pattern = Pattern((10.0, 30.0), (0.3, 0.4), (-5.0, 5.0), 0.0)
+    pattern = ViewRange((10.0, 30.0), (0.3, 0.4), (-5.0, 5.0), 0.0)
     drawn = viewpoints(np.random.default_rng(0), KOALA, 200, pattern)
     in_board = pose.inverse(KOALA.base_from_board) @ drawn
     tilt = np.rad2deg(np.arccos(in_board[:, 2, 2]))

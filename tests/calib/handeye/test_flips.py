@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from koala3d.calib import calibrate
-from koala3d.calib.advice.patterns import Pattern, viewpoints
+from koala3d.calib.advice.patterns import ViewRange, viewpoints
 from koala3d.calib.advice.simulate import KOALA, simulate, target_session
 from koala3d.calib.handeye import flips
 from koala3d.calib.handeye.model import Accuracy
@@ -20,7 +20,7 @@ AMBIGUOUS = replace(KOALA, board=Board.of("chessboard", 9, 7, 0.03))
 def spoilt(seed, roll=(-180.0, 180.0)):
     """(simulated, session in which every second view is read upside down, which)."""
     rng = np.random.default_rng([4, seed])
-    simulated = simulate(rng, AMBIGUOUS, viewpoints(rng, AMBIGUOUS, 14, Pattern(roll_deg=roll)), sigma_px=0.1, arm=ARM)
+    simulated = simulate(rng, AMBIGUOUS, viewpoints(rng, AMBIGUOUS, 14, ViewRange(roll_deg=roll)), sigma_px=0.1, arm=ARM)
     session, turned = target_session(simulated), rng.random(14) < 0.5
     points = AMBIGUOUS.board.points
     last = len(points) - 1

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from koala3d.calib import calibrate
-from koala3d.calib.advice.patterns import Pattern, viewpoints
+from koala3d.calib.advice.patterns import ViewRange, viewpoints
 from koala3d.calib.advice.simulate import KOALA
 from koala3d.calib.errors import CalibrationError
 from koala3d.calib.handeye import links, model, uncertainty, verify
@@ -30,7 +30,7 @@ BUILT = kinematics.UR5E.calibrated(np.random.default_rng(1), 5e-4, 5e-4)
 
 def reached(seed, views):
     """(views, 6) joint angles with which the nominal arm looks at the board from many sides."""
-    rng, pattern = np.random.default_rng([8, seed]), Pattern((5.0, 40.0))
+    rng, pattern = np.random.default_rng([8, seed]), ViewRange((5.0, 40.0))
     found = []
     while len(found) < views:
         camera = viewpoints(rng, RIG, 1, pattern)[0]

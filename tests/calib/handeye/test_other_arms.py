@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from koala3d.calib import calibrate
-from koala3d.calib.advice.patterns import Pattern, viewpoints
+from koala3d.calib.advice.patterns import ViewRange, viewpoints
 from koala3d.calib.advice.simulate import KOALA
 from koala3d.calib.errors import CalibrationError
 from koala3d.calib.handeye import links, model, uncertainty
@@ -27,7 +27,7 @@ def simulated(arm: ArmModel, offsets: np.ndarray, views: int, seed: int = 0, noi
     """An arm as built that looks at the board; it reports what its links give for the angles that it believes in."""
     rng, angles = np.random.default_rng([9, seed]), []
     while len(angles) < views:
-        camera = viewpoints(rng, RIG, 1, Pattern((5.0, 40.0)))[0]
+        camera = viewpoints(rng, RIG, 1, ViewRange((5.0, 40.0)))[0]
         branches = arm.inverse(camera @ pose.inverse(RIG.flange_from_camera))
         branches = branches[arm.inside(branches)]
         if len(branches):

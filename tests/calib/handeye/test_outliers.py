@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from koala3d.calib import calibrate
-from koala3d.calib.advice.patterns import Pattern, viewpoints
+from koala3d.calib.advice.patterns import ViewRange, viewpoints
 from koala3d.calib.advice.simulate import KOALA, simulate
 from koala3d.calib.handeye.model import Accuracy
 from koala3d.calib.sessions.session import TargetSession
@@ -22,7 +22,7 @@ VIEWS = 25
 def drawn(seed):
     """(simulated session, generator, five views to spoil)."""
     rng = np.random.default_rng([3, seed])
-    simulated = simulate(rng, RIG, viewpoints(rng, RIG, VIEWS, Pattern()), sigma_px=0.1, arm=ARM)
+    simulated = simulate(rng, RIG, viewpoints(rng, RIG, VIEWS, ViewRange()), sigma_px=0.1, arm=ARM)
     return simulated, rng, np.sort(rng.choice(VIEWS, VIEWS // 5, replace=False))
 
 

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from koala3d.calib.advice.patterns import Pattern, viewpoints
+from koala3d.calib.advice.patterns import ViewRange, viewpoints
 from koala3d.calib.advice.simulate import KOALA, simulate
 from koala3d.calib.errors import CalibrationError
 from koala3d.calib.handeye import model, refine
@@ -103,7 +103,7 @@ def test_board_alone_is_found_again(small):
 def test_fifty_views_of_a_hundred_corners_take_a_few_steps():
     """What a step costs is the business of `python -m tests.bench.handeye`."""
     rig, rng = replace(KOALA, board=Board.of("charuco", 11, 11, 0.016, 0.0117, "DICT_5X5_100")), np.random.default_rng(8)
-    drawn = simulate(rng, rig, viewpoints(rng, rig, 50, Pattern()), sigma_px=0.1, arm=model.Accuracy(), free=FREE)
+    drawn = simulate(rng, rig, viewpoints(rng, rig, 50, ViewRange()), sigma_px=0.1, arm=model.Accuracy(), free=FREE)
     assert len(drawn.session.view) == 50 * 100
     first = disturbed(replace(drawn.truth, corrections=np.zeros((50, 6))), rng)
     found = refine.refine(drawn.session, first, sigma_px=0.3)

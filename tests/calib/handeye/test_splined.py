@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from koala3d.calib import calibrate
-from koala3d.calib.advice.patterns import Pattern, Rig, viewpoints
+from koala3d.calib.advice.patterns import Rig, ViewRange, viewpoints
 from koala3d.calib.advice.simulate import KOALA, simulate
 from koala3d.calib.errors import TargetError
 from koala3d.calib.handeye.model import Accuracy
@@ -43,7 +43,7 @@ RIG = replace(KOALA, camera=with_surface(KOALA.camera, "ripple"))
 
 def session(rig: Rig, seed: int, views: int = 25) -> TargetSession:
     rng = np.random.default_rng(seed)
-    drawn = simulate(rng, rig, viewpoints(rng, rig, views, Pattern()), sigma_px=0.1, arm=ARM)
+    drawn = simulate(rng, rig, viewpoints(rng, rig, views, ViewRange()), sigma_px=0.1, arm=ARM)
     size = rig.camera.width, rig.camera.height
     name = {"frames_sha256": str(seed)}
     return TargetSession(rig.board, *size, tuple(drawn.observations()), drawn.session.base_from_flange, provenance=name)

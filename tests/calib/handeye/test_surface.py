@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from koala3d.calib import calibrate
-from koala3d.calib.advice.patterns import Pattern, viewpoints
+from koala3d.calib.advice.patterns import ViewRange, viewpoints
 from koala3d.calib.advice.simulate import KOALA, simulate
 from koala3d.calib.handeye import model, surface
 from koala3d.calib.handeye.model import Accuracy, State
@@ -31,7 +31,7 @@ def bent(seed: int, shape: np.ndarray = SHAPE, views: int = 20) -> TargetSession
     """A session whose target has that shape, and whose corners are named by where they should be."""
     rng = np.random.default_rng([14, seed])
     truly = BOARD.points + surface.by_shape(BOARD.points, EXTENT) @ shape
-    drawn = simulate(rng, KOALA, viewpoints(rng, KOALA, views, Pattern()), sigma_px=0.1, arm=ARM, printed=truly)
+    drawn = simulate(rng, KOALA, viewpoints(rng, KOALA, views, ViewRange()), sigma_px=0.1, arm=ARM, printed=truly)
     camera = KOALA.camera
     return TargetSession(BOARD, camera.width, camera.height, tuple(drawn.observations()), drawn.session.base_from_flange)
 

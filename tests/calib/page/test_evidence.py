@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from koala3d.calib import calibrate
-from koala3d.calib.advice.patterns import Pattern, viewpoints
+from koala3d.calib.advice.patterns import ViewRange, viewpoints
 from koala3d.calib.advice.simulate import ARM, KOALA, simulate, target_session
 from koala3d.calib.handeye import refine
 from koala3d.calib.intrinsics import estimate
-from koala3d.calib.page.evidence import ALONE, CORRECTED, REPORTED, Evidence, gather, recording_of
+from koala3d.calib.page.evidence import ALONE, CORRECTED, REPORTED, CalibrationEvidence, gather, recording_of
 from koala3d.calib.page.view import ARROW, between_green_and_red, overall, with_arrows
 from koala3d.calib.sessions.session import TargetSession
 from koala3d.datasets import pose
@@ -31,7 +31,7 @@ def calibration(calibrated) -> Calibration:
 
 
 @pytest.fixture(scope="module")
-def evidence(calibration, session) -> Evidence:
+def evidence(calibration, session) -> CalibrationEvidence:
     return gather(calibration, session)
 
 
@@ -92,7 +92,7 @@ def test_another_recording_is_named_as_such(calibration, session) -> None:
 
 def test_an_ambiguous_board_is_read_as_the_calibration_has_it() -> None:
     rig, rng = replace(KOALA, board=Board.of("chessboard", 9, 7, 0.03)), np.random.default_rng(4)
-    simulated = simulate(rng, rig, viewpoints(rng, rig, 12, Pattern()), sigma_px=0.1, arm=ARM)
+    simulated = simulate(rng, rig, viewpoints(rng, rig, 12, ViewRange()), sigma_px=0.1, arm=ARM)
     session = target_session(simulated)
     found = calibrate.calibrate_handeye(session, accuracy=ARM)
     last = len(rig.board.points) - 1

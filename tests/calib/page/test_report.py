@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from koala3d.calib import calibrate
-from koala3d.calib.advice.patterns import Pattern, viewpoints
+from koala3d.calib.advice.patterns import ViewRange, viewpoints
 from koala3d.calib.advice.simulate import ARM, KOALA, simulate, target_session
 from koala3d.calib.intrinsics import crossval
 from koala3d.calib.page import report
@@ -25,7 +25,7 @@ from koala3d.datasets.reports.html import Number, ReportPage
 def evidence_of(given=None):
     """Of a session in which view 005 is 10 mm off and view 012 shows no target."""
     rng = np.random.default_rng(0)
-    simulated = simulate(rng, KOALA, viewpoints(rng, KOALA, 12, Pattern()), sigma_px=0.1, arm=ARM)
+    simulated = simulate(rng, KOALA, viewpoints(rng, KOALA, 12, ViewRange()), sigma_px=0.1, arm=ARM)
     session = target_session(simulated)
     reported = session.base_from_flange.copy()
     reported[5] = reported[5] @ pose.from_rotation_vector([0, 0, 0], [0.01, 0, 0])

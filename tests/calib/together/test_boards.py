@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import chi2
 
 from koala3d.calib import calibrate
-from koala3d.calib.advice.patterns import Pattern, viewpoints
+from koala3d.calib.advice.patterns import ViewRange, viewpoints
 from koala3d.calib.advice.simulate import KOALA
 from koala3d.calib.errors import CalibrationError, Unobservable
 from koala3d.calib.handeye.model import Accuracy
@@ -20,7 +20,7 @@ from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.targets.board import Board
 
 ARM = Accuracy(5e-5, float(np.deg2rad(0.01)))
-PATTERN = Pattern(tilt_deg=(0, 35), distance_m=(0.35, 0.5))
+PATTERN = ViewRange(tilt_deg=(0, 35), distance_m=(0.35, 0.5))
 SMALL = Board.of("charuco", 7, 5, 0.02, 0.015, "DICT_4X4_100")
 BESIDE = pose.from_rotation_vector([0.1, 0.3, 0.2], [0.05, -0.03, 0.02]) @ KOALA.base_from_board
 """Where the second target stands: tilted, and within the same pictures."""

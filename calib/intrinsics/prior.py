@@ -11,7 +11,7 @@ from koala3d.calib.intrinsics import projection
 
 
 @dataclass(frozen=True)
-class Known:
+class IntrinsicsPrior:
     """A Gaussian distribution of some intrinsics."""
 
     names: tuple[str, ...]
