@@ -131,18 +131,6 @@ class LinkErrors:
         return cls._credible(errors, std, links, where)
 
     @classmethod
-    def from_offsets(cls, content: Any, *, where: object) -> Self:
-        """Errors from the joint offsets in files of older versions; without links they are of a UR5e."""
-        try:
-            stored = content.get("links")
-            links = UR5E if stored is None else Links.from_json(stored, where=f"{where}, links")
-            offsets, std = (np.asarray(content[key], np.float64).reshape(links.count) for key in ("offsets_rad", "std_rad"))
-        except (TypeError, KeyError, ValueError, AttributeError) as error:
-            raise DatasetError("joint offsets are not complete", where=where, why=str(error)) from None
-        none = np.zeros(3 * links.count)
-        return cls._credible(np.concatenate([none, offsets]), np.concatenate([none, std]), links, where)
-
-    @classmethod
     def _credible(cls, errors: NDArray[np.float64], std: NDArray[np.float64], links: Links, where: object) -> Self:
         if not (np.isfinite([errors, std]).all() and np.abs(errors).max() < 1):
             raise DatasetError("errors of the links are not credible", where=where, why=f"{errors.tolist()} m, rad")
@@ -170,7 +158,7 @@ class Calibration:
     turntable: Axis | None = None
     """Axis of the turntable on which the object stands, where it was calibrated."""
     region: Region | None = None
-    """Region of the sensor that the recorded images show; None where it is not known, as in files of older versions."""
+    """Region of the sensor that the recorded images show; None if the session did not say."""
     residuals: Residuals = field(default_factory=Residuals)
     """How well it fits, and how well it predicts views held out of the fit."""
     provenance: dict[str, Any] = field(default_factory=dict)
@@ -232,8 +220,6 @@ class Calibration:
                 stored[name] = UncertainPose.from_json(content[name], where=f"{path}, {name}")
         if content.get("link_errors"):
             stored["link_errors"] = LinkErrors.from_json(content["link_errors"], where=f"{path}, link_errors")
-        elif content.get("joint_offsets"):
-            stored["link_errors"] = LinkErrors.from_offsets(content["joint_offsets"], where=f"{path}, joint_offsets")
         if content.get("turntable"):
             stored["turntable"] = Axis.from_json(content["turntable"], where=f"{path}, turntable")
         if content.get("region"):

@@ -22,7 +22,7 @@ def projection_uncertainty(calibration: Calibration, distance_m: float) -> Map:
     not matter.
 
     Raises:
-        UsageError: nothing was estimated, or the file is of a version that does not keep all correlations.
+        UsageError: nothing was estimated, or the file keeps no correlations.
     """
     camera = calibration.camera
     down = max(round(COLUMNS * camera.height / camera.width), 1)
@@ -53,7 +53,7 @@ def _covariance(calibration: Calibration, mount: UncertainPose | None) -> tuple[
         raise UsageError("calibration keeps no uncertainty", why="its camera was given", remedy="estimate it from a recording")
     if kept is None:
         remedy = "make it again with 'calib handeye' or 'calib intrinsics'"
-        raise UsageError("calibration does not keep how its errors are correlated", why="an older version made it", remedy=remedy)
+        raise UsageError("calibration does not keep how its errors are correlated", remedy=remedy)
     stds = dict(calibration.camera_std)
     if mount is not None:
         title = next(name for name, value in calibration.poses.items() if value is mount)

@@ -105,5 +105,3 @@ def test_stored_offsets_keep_their_arm(tmp_path) -> None:
     assert again.only_joints
     reported = arm.forward(arm.home)
     np.testing.assert_allclose(again.corrected(reported, arm.home), arm.forward(arm.home + 1e-3), atol=1e-12)
-    older = {"offsets_rad": [1e-3] * 6, "std_rad": [1e-4] * 6}
-    assert LinkErrors.from_offsets(older, where="here").links is kinematics.UR5E

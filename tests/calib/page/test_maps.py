@@ -57,7 +57,7 @@ def test_of_a_camera_alone_a_rotation_is_left_out(session):
 
 def test_files_that_keep_too_little_are_refused(rig):
     old = replace(rig, residuals=replace(rig.residuals, rig_correlation=None))
-    with pytest.raises(UsageError, match="older version made it"):
+    with pytest.raises(UsageError, match="how its errors are correlated"):
         maps.projection_uncertainty(old, 0.4)
     with pytest.raises(UsageError, match="camera was given"):
         maps.projection_uncertainty(Calibration(rig.camera, {}), 0.4)
