@@ -42,7 +42,9 @@ def build(
     white: Annotated[
         float | None,
         typer.Option(
-            min=0.01, max=1e4, help="Of brackets: light that becomes white, 1 for the longest exposure's. Default: measured."
+            min=0.01,
+            max=1e4,
+            help="Light that becomes white in a picture of several exposures; 1 is white in the longest. Default: measured.",
         ),
     ] = None,
     as_json: Json = False,

@@ -127,8 +127,8 @@ def test_compare_prints_a_row_per_method(calib, recorded):
 def test_importing_calib_does_not_touch_jax():
     """Float64 is a switch of the whole process: nobody who trains may find it thrown by a calibration."""
     code = (
-        "import importlib, pkgutil, sys, calib\n"
-        "modules = [importlib.import_module(found.name) for found in pkgutil.walk_packages(calib.__path__, 'calib.')]\n"
+        "import importlib, pkgutil, sys\nfrom koala3d import calib\n"
+        "modules = [importlib.import_module(found.name) for found in pkgutil.walk_packages(calib.__path__, 'koala3d.calib.')]\n"
         "print(len(modules), 'jax' in sys.modules)"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)

@@ -154,7 +154,7 @@ def test_too_few_corners_are_refused() -> None:
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize("kind", ["plain", "bump", "ripple"])
 def test_five_sessions_of_each_kind(kind: str) -> None:
-    """The figures of docs/calibration.md: medians of five sessions, and how often `auto` takes knots."""
+    """Those of docs/calibration_figures.md: medians of five sessions, and how often `auto` takes knots."""
     rig = KOALA if kind == "plain" else replace(KOALA, camera=with_surface(KOALA.camera, kind))
     rows, taken = {"rational": [], "splined": []}, 0
     for seed in range(5):

@@ -86,7 +86,7 @@ def test_a_pose_file_whose_aliases_multiply_is_refused(folder: Path) -> None:
     (folder / "pose-0.yaml").write_text("\n".join([*lines, "data: *a8"]))
     code = (
         "import resource, sys; from pathlib import Path\n"
-        "from calib.sessions import importer; from datasets.core.errors import KoalaError\n"
+        "from koala3d.calib.sessions import importer; from koala3d.datasets.core.errors import KoalaError\n"
         "folder = Path(sys.argv[1])\n"
         "import cv2, scipy.spatial; description = importer.load_description(folder / 'import.yaml')\n"
         "resource.setrlimit(resource.RLIMIT_CPU, (10, 10)); resource.setrlimit(resource.RLIMIT_AS, (4 * 2**30,) * 2)\n"
