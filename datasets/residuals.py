@@ -117,9 +117,10 @@ def _checked(value: Any, kind: Any, where: str) -> Any:
     """`value` if it is of the kind that a field has, apart from None."""
     main = next(one for one in get_args(kind) if one is not NoneType) if isinstance(kind, UnionType) else kind
     if main is Correlation:
-        names, matrix = (value.get(key) if isinstance(value, dict) else None for key in ("names", "matrix"))
-        if isinstance(names, list) and np.shape(matrix) == (len(names), len(names)):
-            return Correlation(names, matrix or [])
+        names, matrix = (value.get(key, []) if isinstance(value, dict) else [] for key in ("names", "matrix"))
+        rows = [row for row in matrix if isinstance(row, list) and len(row) == len(names)]
+        if names and len(rows) == len(matrix) == len(names) and all(isinstance(one, int | float) for row in rows for one in row):
+            return Correlation(names, matrix)
     elif main in (float, int, bool):
         allowed = bool if main is bool else (int, float)
         if isinstance(value, allowed) and isinstance(value, bool) == (main is bool):

@@ -7,6 +7,7 @@ arm's poses explain the pictures already, nothing is changed.
 
 import tempfile
 from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,10 @@ from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core.errors import DatasetError
 from koala3d.datasets.formats.colmap_library import lens_of
 from koala3d.datasets.imaging import images
+from koala3d.datasets.process.pictures import features
+from koala3d.datasets.process.pictures.features import PictureFeatures
+from koala3d.datasets.process.pictures.photographs import Photograph
+from koala3d.datasets.process.poses import database
 from koala3d.datasets.scene import Scene, View
 
 Array, Indices, Mask = NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_]
@@ -111,43 +116,36 @@ def _triangulated(scene: Scene, camera: Camera, folder: Path) -> Any:
     """pycolmap's model with points triangulated from the scene's poses; image number i + 1 is view i."""
     import pycolmap
 
-    pycolmap.logging.minloglevel = 2  # errors come back as exceptions
-    names = [f"{index:05d}.png" for index in range(len(scene.views))]
-    for name, view in zip(names, scene.views, strict=True):
-        _write_picture(view, folder / "images" / name, folder / "masks" / f"{name}.png")
+    pictures = [
+        database.Picture(number, f"{number - 1:05d}.png", _photograph(view), 1, _features(view))
+        for number, view in enumerate(scene.views, 1)
+    ]
     kind, numbers = lens_of(camera)
-    options = pycolmap.ImageReaderOptions(camera_model=kind, camera_params=",".join(f"{v:.17g}" for v in numbers))
-    if any((folder / "masks").glob("*")):
-        options.mask_path = folder / "masks"
-    database = folder / "features.db"
-    cpu, single = pycolmap.Device.cpu, pycolmap.CameraMode.SINGLE
-    extraction = pycolmap.FeatureExtractionOptions(num_threads=1, use_gpu=False)
-    matching = pycolmap.FeatureMatchingOptions(num_threads=1, use_gpu=False)
-    pycolmap.extract_features(database, folder / "images", names, single, options, extraction, cpu)
-    pycolmap.match_exhaustive(database, matching_options=matching, device=cpu)
+    stored = folder / "features.db"
+    database.write(stored, pictures, (kind, numbers, True))
+    database.match(stored, pictures, list(combinations(range(len(pictures)), 2)))
     model = pycolmap.Reconstruction()
     theirs = pycolmap.Camera(camera_id=1, model=kind, width=camera.width, height=camera.height, params=numbers)
     model.add_camera_with_trivial_rig(theirs)
-    with pycolmap.Database.open(database) as stored:
-        for index, name in enumerate(names):
-            found = stored.read_image_with_name(name)
-            assert found is not None  # its features have just been stored
-            number = found.image_id
-            image = pycolmap.Image(name, stored.read_keypoints(number)[:, :2], 1, number)
-            model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose.inverse(scene.views[index].world_from_camera)[:3]))
+    for picture, view in zip(pictures, scene.views, strict=True):
+        image = pycolmap.Image(picture.file, picture.features.pixels.astype(np.float64), 1, picture.number)
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose.inverse(view.world_from_camera)[:3]))
     settings = pycolmap.IncrementalPipelineOptions()
     settings.mapper.filter_max_reproj_error = settings.triangulation.complete_max_reproj_error = LIMIT_PX
     settings.triangulation.merge_max_reproj_error = LIMIT_PX
     settings.triangulation.create_max_angle_error = settings.triangulation.continue_max_angle_error = 4.0
-    return pycolmap.triangulate_points(model, database, folder / "images", folder, options=settings)
+    return pycolmap.triangulate_points(model, stored, folder, folder, options=settings)
 
 
-def _write_picture(view: View, path: Path, mask: Path) -> None:
-    """8-bit grey picture, and white where its alpha keeps it."""
+def _photograph(view: View) -> Photograph:
+    return Photograph(view.name, view.image, view.camera.width, view.camera.height)
+
+
+def _features(view: View) -> PictureFeatures:
+    """Of the object alone if there is an alpha or a mask."""
     picture = view.read()
-    images.write(path, np.rint(255 * np.clip(picture[..., :3], 0, 1)).astype(np.uint8))
-    if picture.shape[-1] == 4:
-        images.write(mask, np.where(picture[..., 3:] > 0.5, 255, 0).astype(np.uint8))
+    mask = np.where(picture[..., 3] > 0.5, 255, 0).astype(np.uint8) if picture.shape[-1] == 4 else None
+    return features.detect_in(images.to_uint8(picture[..., :3]), mask)
 
 
 def _index(name: str) -> int:

@@ -69,6 +69,10 @@ def test_a_rotation_moves_a_distant_origin() -> None:
         ({"residuals": {"views_used": True}}, "c.json, residuals, views_used: is not of its kind"),
         ({"residuals": {"boards": {}}}, "c.json, residuals, boards: is not of its kind"),
         ({"residuals": {"rig_correlation": {"names": ["fx"], "matrix": [1]}}}, "rig_correlation: is not of its kind"),
+        (
+            {"residuals": {"rig_correlation": {"names": ["x", "y"], "matrix": [[1, 0], [1]]}}},
+            "rig_correlation: is not of its kind",
+        ),
         ({"region": {"width": 640, "height": 0}}, "c.json, region: sensor region is impossible"),
         ({"format": "koala-scene"}, "is not a koala-calibration file"),
         ({"version": 2}, "version 2 cannot be read"),

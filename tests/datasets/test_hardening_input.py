@@ -179,7 +179,7 @@ def test_yaml_whose_aliases_multiply_is_refused_at_once(tmp_path: Path) -> None:
     path = tmp_path / "bomb.yaml"
     path.write_text("\n".join([*lines, "values: *a8"]))
     code = (
-        "import sys; from pathlib import Path; from datasets.core.schema import read_yaml\n"
+        "import sys; from pathlib import Path; from koala3d.datasets.core.schema import read_yaml\n"
         "import resource; resource.setrlimit(resource.RLIMIT_CPU, (4, 4))\n"
         "try: read_yaml(Path(sys.argv[1]))\n"
         "except Exception as error: print(error)\n"
@@ -207,8 +207,8 @@ def test_what_is_no_file_is_refused_and_not_waited_for(tmp_path: Path, way: str)
     else:
         path.symlink_to("/dev/zero" if way == "device" else path.name)
     code = (
-        "import resource, sys; from pathlib import Path; from datasets.core.schema import read_yaml\n"
-        "from datasets.core.errors import KoalaError\n"
+        "import resource, sys; from pathlib import Path; from koala3d.datasets.core.schema import read_yaml\n"
+        "from koala3d.datasets.core.errors import KoalaError\n"
         "resource.setrlimit(resource.RLIMIT_AS, (2**30, 2**30))\n"
         "try: read_yaml(Path(sys.argv[1]))\n"
         "except KoalaError as error: print('refused:', error)\n"

@@ -3,7 +3,7 @@
 SIFT in a picture of at most `SIDE` pixels. Descriptors are stored as COLMAP's, so that its matcher takes them: times 512.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -60,28 +60,32 @@ class PictureFeatures:
 
 def detect(path: Path) -> PictureFeatures:
     """Features and markers of an image file; where it has an alpha, only where that is opaque. Raises as `images.read` does."""
-    import cv2
-
     picture, mask = _searched(path)
+    return replace(detect_in(picture, mask), markers=tuple(markers.detect(_grey(picture))))
+
+
+def detect_in(picture: NDArray[np.uint8], mask: NDArray[np.uint8] | None) -> PictureFeatures:
+    """Features of a (height, width, 3) picture, if there is a mask only where it is white."""
     height, width = picture.shape[:2]
-    grey = np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), np.uint8)
-    found = sift.keypoints(grey, mask, COUNT)
+    found = sift.keypoints(_grey(picture), mask, COUNT)
     order = np.argsort(-found.contrast, kind="stable")
     descriptors = np.rint(512 * found.descriptors[order]).clip(0, 255).astype(np.uint8)
     colours = picture[found.inside(width, height)][order]
-    seen = tuple(markers.detect(grey))
-    return PictureFeatures(width, height, found.pixels[order].astype(np.float32), descriptors, colours, seen)
+    return PictureFeatures(width, height, found.pixels[order].astype(np.float32), descriptors, colours, ())
+
+
+def _grey(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    import cv2
+
+    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), np.uint8)
 
 
 def markers_of(path: Path) -> tuple[Marker, ...]:
     """Printed markers in an image file, in its own pixels. Raises as `images.read` does."""
-    import cv2
-
     picture, _ = _searched(path)
     width, height = images.size(path)
     ratio = np.array([width / picture.shape[1], height / picture.shape[0]])
-    seen = markers.detect(np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), np.uint8))
-    return tuple(Marker(marker.kind, marker.corners * ratio) for marker in seen)
+    return tuple(Marker(marker.kind, marker.corners * ratio) for marker in markers.detect(_grey(picture)))
 
 
 def _searched(path: Path) -> tuple[NDArray[np.uint8], NDArray[np.uint8] | None]:

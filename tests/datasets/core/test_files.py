@@ -33,7 +33,7 @@ def test_an_interrupted_folder_leaves_nothing(tmp_path: Path, error: type[BaseEx
 def test_a_killed_writer_leaves_no_half_file_under_the_name(tmp_path: Path) -> None:
     """SIGKILL gives no chance to tidy up, so what counts is that the name itself is never half written."""
     code = (
-        "import sys, time; from datasets.core import files\n"
+        "import sys, time; from koala3d.datasets.core import files\n"
         f"with files.atomic_path({str(tmp_path / 'a.bin')!r}) as t:\n"
         "    t.write_bytes(b'x' * 1000); print('half', flush=True); time.sleep(60)\n"
     )
@@ -46,7 +46,7 @@ def test_a_killed_writer_leaves_no_half_file_under_the_name(tmp_path: Path) -> N
 
 def test_an_interrupted_folder_writer_cleans_up(tmp_path: Path) -> None:
     code = (
-        "import sys, time; from datasets.core import files\n"
+        "import sys, time; from koala3d.datasets.core import files\n"
         f"with files.atomic_folder({str(tmp_path / 'scene')!r}) as f:\n"
         "    (f / 'a').write_bytes(b'x'); print('half', flush=True); time.sleep(60)\n"
     )
