@@ -117,10 +117,8 @@ def _checked(value: Any, kind: Any, where: str) -> Any:
     """`value` if it is of the kind that a field has, apart from None."""
     main = next(one for one in get_args(kind) if one is not NoneType) if isinstance(kind, UnionType) else kind
     if main is Correlation:
-        names, matrix = (value.get(key, []) if isinstance(value, dict) else [] for key in ("names", "matrix"))
-        rows = [row for row in matrix if isinstance(row, list) and len(row) == len(names)]
-        if names and len(rows) == len(matrix) == len(names) and all(isinstance(one, int | float) for row in rows for one in row):
-            return Correlation(names, matrix)
+        if isinstance(value, dict) and _is_square(value.get("names"), value.get("matrix")):
+            return Correlation(value["names"], value["matrix"])
     elif main in (float, int, bool):
         allowed = bool if main is bool else (int, float)
         if isinstance(value, allowed) and isinstance(value, bool) == (main is bool):
@@ -128,3 +126,11 @@ def _checked(value: Any, kind: Any, where: str) -> Any:
     elif isinstance(value, get_origin(main)):
         return value
     raise DatasetError("is not of its kind", where=where, why=str(value)[:80], remedy="calibrate again")
+
+
+def _is_square(names: Any, matrix: Any) -> bool:
+    """Whether these are k names and a (k, k) matrix of numbers."""
+    if not (isinstance(names, list) and isinstance(matrix, list) and 0 < len(names) == len(matrix)):
+        return False
+    rows = all(isinstance(row, list) and len(row) == len(names) for row in matrix)
+    return rows and all(isinstance(one, int | float) for row in matrix for one in row)

@@ -8,6 +8,7 @@ from koala3d.calib.advice.simulate import KOALA, simulate
 from koala3d.calib.errors import CalibrationError
 from koala3d.calib.handeye import model, refine
 from koala3d.calib.intrinsics import projection
+from koala3d.calib.intrinsics.prior import IntrinsicsPrior
 from koala3d.datasets import pose
 from koala3d.datasets.targets.board import Board
 
@@ -72,7 +73,9 @@ def test_a_worse_arm_than_stated_is_noticed(simulate):
 
 def test_known_intrinsics_are_kept_to(simulate):
     ordinary = simulate(seed=6, views=12)
-    session = ordinary.session(free=("fx", "fy", "cx", "cy"), known=model.Known(("fx",), np.array([900.0]), np.array([[1e-12]])))
+    session = ordinary.session(
+        free=("fx", "fy", "cx", "cy"), known=IntrinsicsPrior(("fx",), np.array([900.0]), np.array([[1e-12]]))
+    )
     start = replace(ordinary.state(), intrinsics=ordinary.state().intrinsics + 50 * np.eye(12)[0])
     found = refine.refine(session, start, sigma_px=0.3)
     assert found.state.intrinsics[0] == pytest.approx(900.0, abs=1e-4)

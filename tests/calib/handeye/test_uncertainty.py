@@ -5,6 +5,7 @@ import pytest
 
 from koala3d.calib import calibrate
 from koala3d.calib.advice import simulate as without_pictures
+from koala3d.calib.advice.patterns import ViewRange, viewpoints
 from koala3d.calib.advice.simulate import target_session
 from koala3d.calib.errors import Unobservable
 from koala3d.calib.handeye import refine, uncertainty
@@ -126,7 +127,7 @@ def test_a_relaxed_bound_accepts_a_poor_arm_and_marks_the_calibration():
     arm = Accuracy(0.01, float(np.deg2rad(0.5)))
     rng = np.random.default_rng(0)
     rig = without_pictures.KOALA
-    views = without_pictures.viewpoints(rng, rig, 8, without_pictures.Pattern((20.0, 50.0)))
+    views = viewpoints(rng, rig, 8, ViewRange((20.0, 50.0)))
     session = target_session(without_pictures.simulate(rng, rig, views, sigma_px=0.2, arm=arm))
     with pytest.raises(Unobservable, match=r"6.7 mm.*--allow-mm accepts more"):
         calibrate.calibrate_handeye(session, accuracy=arm)
