@@ -23,7 +23,7 @@ from koala3d.datasets.recording import Recording
 NAMES = ("left", "right")
 VIEWS = 12
 SMALL = [f"views.0.count={VIEWS}", "camera.binning=4", "camera.width=480", "camera.height=270"]
-MAIN = {"capture": koala3d.capture.cli.main, "calib": calib.cli.main}
+MAIN = {"capture": koala3d.capture.cli.main, "calib": koala3d.calib.cli.main}
 RUN = ["run", "calibration_demo", "--rig", "sim:ur5e_stereo", "--resume", "--json"]
 
 
