@@ -96,7 +96,7 @@ demo/report/strip.png:
 	$(MAKE) demo
 
 build/calibration_bench: $(READY)
-	$(BIN)/calib bench --out $@
+	$(BIN)/python -m tests.bench.handeye --out $@
 
 clean:
 	rm -rf demo build .pytest_cache .ruff_cache .hypothesis *.egg-info

@@ -24,15 +24,16 @@ from koala3d.calib.handeye import (
     uncertainty,
     verify,
 )
-from koala3d.calib.handeye.model import Accuracy, Session, State
+from koala3d.calib.handeye.model import Accuracy, Measurements, State
 from koala3d.calib.handeye.refine import Refined
 from koala3d.calib.intrinsics import estimate, lenses, projection, splined
-from koala3d.calib.intrinsics.known import Known
+from koala3d.calib.intrinsics.prior import IntrinsicsPrior
 from koala3d.calib.sessions.session import TargetSession
-from koala3d.calib.solver.geometry import rms_difference
 from koala3d.calib.targets import screening
+from koala3d.datasets import pose
 from koala3d.datasets.calibration import Calibration
 from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.residuals import Correlation, Residuals
 
 CORNERS_PER_VIEW = 4  # fewest corners of a session whose camera is known: one tag in each view
 MAX_DISTANCE_M = 1e7
@@ -42,15 +43,15 @@ STATED = Accuracy()  # accuracy that is assumed of a UR5e
 def calibrate_intrinsics(session: TargetSession, lens: str = "auto") -> Calibration:
     """Intrinsics from the pictures alone; `lens` is a key of `lenses.LENSES`. Raises what `estimate.calibrate` raises."""
     found = _intrinsics(session, lens)
-    residuals = {
-        "rms_px": found.rms_px,
-        "held_out_px": found.held_out_px,
+    residuals = Residuals(
+        rms_px=found.rms_px,
+        held_out_px=found.held_out_px,
         **_views(session, len(found.observations), found.left_out),
-        "corners": sum(len(o.ids) for o in found.observations),
-        "coverage": found.coverage,
-        "view_rms_px": found.view_rms_px,
-        "camera_correlation": correlation(found.lens.free, found.covariance),
-    }
+        corners=sum(len(o.ids) for o in found.observations),
+        coverage=found.coverage,
+        view_rms_px=found.view_rms_px,
+        camera_correlation=Correlation.of(found.lens.free, found.covariance),
+    )
     provenance = {**session.provenance, "method": "intrinsics"}
     return Calibration(found.camera, found.std, region=session.region, residuals=residuals, provenance=provenance)
 
@@ -61,7 +62,7 @@ def _intrinsics(session: TargetSession, lens: str) -> estimate.Intrinsics:
     return estimate.calibrate(session.observations, session.width, session.height, lenses=candidates, spline=spline)
 
 
-def knots(camera: Camera, free: tuple[str, ...], session: TargetSession) -> Known | None:
+def knots(camera: Camera, free: tuple[str, ...], session: TargetSession) -> IntrinsicsPrior | None:
     """What is assumed of the knots of a camera that are `free`; None where there are none."""
     pixels = estimate.flat(session.observations).pixels
     return splined.prior(camera, free, pixels) if any(map(projection.is_knot, free)) else None
@@ -72,12 +73,6 @@ def _views(session: TargetSession, used: int, left_out: dict[str, str]) -> dict[
     left_out = {**session.left_out, **left_out}
     names = {"views_unseen": list(session.unseen), "views_left_out": list(left_out)}
     return {"views_used": used, **names, "why_left_out": left_out}
-
-
-def correlation(names: tuple[str, ...], covariance: Array) -> dict[str, Any]:
-    """Names and (k, k) correlation matrix of estimated intrinsics, for the calibration file."""
-    std = np.sqrt(np.diag(covariance))
-    return {"names": list(names), "matrix": (covariance / np.outer(std, std)).round(6).tolist()}
 
 
 def calibrate_handeye(
@@ -107,7 +102,7 @@ class First:
     session: TargetSession
     camera: Camera
     free: tuple[str, ...]
-    known: Known | None
+    known: IntrinsicsPrior | None
     sigma_px: float  # standard deviation of a corner per axis
     left_out: dict[str, str]
 
@@ -198,16 +193,14 @@ def first_stage(
     return First(session, given.camera, free, known, sigma_px, left_out)
 
 
-def _known(given: Calibration, free: tuple[str, ...]) -> Known:
+def _known(given: Calibration, free: tuple[str, ...]) -> IntrinsicsPrior:
     """Intrinsics of another session with their covariance; independent where the file lacks their correlation."""
-    std, stored = np.array([given.camera_std[name] for name in free]), given.residuals.get("camera_correlation", {})
+    std, stored = np.array([given.camera_std[name] for name in free]), given.residuals.camera_correlation
     among = np.eye(len(free))
-    if set(free) <= set(stored.get("names", ())):
-        rows = [stored["names"].index(name) for name in free]
-        among = np.asarray(stored["matrix"], np.float64)[np.ix_(rows, rows)]
-        values, vectors = np.linalg.eigh(among)  # rounded in the file: kept positive definite
+    if stored is not None and set(free) <= set(stored.names):
+        values, vectors = np.linalg.eigh(stored.among(free))  # rounded in the file: kept positive definite
         among = (vectors * np.maximum(values, 1e-6)) @ vectors.T
-    return Known(free, projection.vector(given.camera)[projection.columns(free)], among * np.outer(std, std))
+    return IntrinsicsPrior(free, projection.vector(given.camera)[projection.columns(free)], among * np.outer(std, std))
 
 
 def finished(solution: Solution, accuracy: Accuracy, given: bool, allow_m: float = uncertainty.MAX_STD_M) -> Calibration:
@@ -222,36 +215,29 @@ def described(solution: Solution, arm: repeating.Repeating, accuracy: Accuracy, 
     session, measured, refined = fit.session, fit.measured, fit.refined
     covariance = uncertainty.checked(measured, refined, arm.covariance, allow_m)
     camera_pose, board_pose = uncertainty.poses(measured, refined, covariance)
-    residuals = {
-        "rms_px": refined.rms_px,
+    free, link_errors = first.free, links.found(measured, refined, covariance)
+    seems = flatness.asked_for(measured, refined)
+    residuals = Residuals(
+        rms_px=refined.rms_px,
         **verify.held_out(measured, refined),
-        "settled": refined.settled,
-        "sigma_px": refined.sigmas.pixel,
-        "arm_translation_mm": 1e3 * refined.sigmas.translation_m,
-        "arm_rotation_deg": float(np.rad2deg(refined.sigmas.rotation_rad)),
+        settled=refined.settled,
+        sigma_px=refined.sigmas.pixel,
+        arm_translation_mm=1e3 * refined.sigmas.translation_m,
+        arm_rotation_deg=float(np.rad2deg(refined.sigmas.rotation_rad)),
         **arm.facts(),
         **_views(session, len(session.observations), left_out),
-        "corners": int(refined.inliers.sum()),
-        "corners_left_out": int((~refined.inliers).sum()),
-        "coverage": estimate.coverage(session.observations, session.width, session.height),
-        "view_rms_px": _by_view(session, measured, refined),
-        "closed_form": _closed_form_facts(closed, refined),
-    }
-    if allow_m > uncertainty.MAX_STD_M:
-        residuals["allowed_mm"] = 1e3 * allow_m
-    free = first.free
-    if free:
-        residuals["camera_correlation"] = correlation(free, covariance[: len(free), : len(free)])
-    residuals["rig_correlation"] = correlation(tuple(uncertainty.parameter_names(measured)), covariance)
-    if measured.shaped:
-        std, before = np.zeros(4), len(free) + len(measured.erring)
-        std[measured.shaped] = np.sqrt(np.diag(covariance))[before : before + len(measured.shaped)]
-        residuals |= surface.facts(refined.state.shape, std)
-    if (shape := flatness.asked_for(measured, refined)) is not None:
-        residuals["target_seems"] = shape.tolist()
-    link_errors = links.found(measured, refined, covariance)
-    if link_errors is not None:
-        residuals |= links.facts(measured, refined, link_errors)
+        corners=int(refined.inliers.sum()),
+        corners_left_out=int((~refined.inliers).sum()),
+        coverage=estimate.coverage(session.observations, session.width, session.height),
+        view_rms_px=_by_view(session, measured, refined),
+        closed_form=_closed_form_facts(closed, refined),
+        allowed_mm=1e3 * allow_m if allow_m > uncertainty.MAX_STD_M else None,
+        camera_correlation=Correlation.of(free, covariance[: len(free), : len(free)]) if free else None,
+        rig_correlation=Correlation.of(tuple(uncertainty.parameter_names(measured)), covariance),
+        target_seems=None if seems is None else seems.tolist(),
+        **surface.facts(measured, refined, covariance),
+        **(links.facts(measured, refined, link_errors) if link_errors is not None else {}),
+    )
     provenance = {
         **session.provenance,
         "method": "hand-eye",
@@ -271,7 +257,7 @@ def described(solution: Solution, arm: repeating.Repeating, accuracy: Accuracy, 
     )
 
 
-def _by_view(session: TargetSession, measured: Session, refined: Refined) -> dict[str, float]:
+def _by_view(session: TargetSession, measured: Measurements, refined: Refined) -> dict[str, float]:
     """Rms [px] of the inliers by name of the view; views without inliers are missing."""
     return {
         o.name: verify.rms(refined.residuals[chosen])
@@ -282,7 +268,7 @@ def _by_view(session: TargetSession, measured: Session, refined: Refined) -> dic
 
 def _closed_form_facts(closed: closed_forms.HandEye, refined: Refined) -> dict[str, Any]:
     """The closed form's residuals, and how far the refinement moved from it."""
-    moved_mm, moved_deg = rms_difference(closed.mount_from_camera, refined.state.mount_from_camera)
+    moved_mm, moved_deg = pose.rms_difference(closed.mount_from_camera, refined.state.mount_from_camera)
     return {
         "method": closed.method,
         "translation_residual_mm": 1e3 * float(np.sqrt(np.mean(closed.translation_residual_m**2))),

@@ -5,27 +5,29 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from koala3d.calib import drawing
 from koala3d.calib.options import (
+    READING,
     AllowMm,
     Arm,
     Import,
     Inexact,
     Intrinsics,
+    LeaveOut,
     Lens,
     Pictures,
-    Rig,
+    RigOptions,
     allowed_m,
     check_lens,
     spread,
 )
-from koala3d.calib.study import commands as study_commands
 from koala3d.calib.targets import commands as target_commands
+from koala3d.calib.targets.commands import board_named
 from koala3d.calib.together import commands as together_commands
 from koala3d.calib.turntable import commands as turntable_commands
 from koala3d.datasets.core import console
 from koala3d.datasets.core.console import Json
 from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.core.help import CHECK, LOOK, MAIN, STUDY
 
 app = console.make_app("calib", "Calibrate the camera and its pose on the arm from a recording of a target.")
 
@@ -36,7 +38,7 @@ RecordingMoved = Annotated[Path | None, Option("--recording", help="Folder that 
 Out = Annotated[Path, Option("--out", help="Calibration file to write (JSON).")]
 
 
-@app.command("intrinsics")
+@app.command("intrinsics", panel=MAIN)
 @spread
 def intrinsics_command(pictures: Pictures, out: Out, lens: Lens = "auto", json: Json = False) -> None:
     """Calibrate the camera alone: focal lengths, principal point, distortion."""
@@ -48,43 +50,73 @@ def intrinsics_command(pictures: Pictures, out: Out, lens: Lens = "auto", json: 
     finish(calibrate_intrinsics(pictures.observe()[0], lens), out, json)
 
 
-@app.command("handeye")
+@app.command("handeye", panel=MAIN)
 @spread
 def handeye_command(
-    rig: Rig,
-    inexact: Inexact,
+    recordings: Annotated[
+        list[Path],
+        Argument(metavar="RECORDING", help="Folders made by 'capture run' with one camera and a calibration target in view."),
+    ],
     out: Out,
+    arm: Arm,
+    inexact: Inexact,
+    targets: Annotated[
+        list[Path] | None,
+        Option(
+            "--board",
+            help="Target to look for instead of the recording's own: a shipped name or a file; repeatable.",
+            rich_help_panel=READING,
+        ),
+    ] = None,
+    description: Import = None,
+    leave_out: LeaveOut = False,
+    intrinsics: Intrinsics = None,
+    lens: Lens = "auto",
     allow_mm: AllowMm = 5.0,
     json: Json = False,
 ) -> None:
     """Calibrate the whole rig: the camera, its pose on the flange and the pose of the target.
 
-    Everything is estimated together, with its uncertainty, and tested on views held out of the fit.
+    Everything is estimated together, with its uncertainty, and tested on views held out of the fit. Several recordings show
+    several targets, or one that stood in several places; with several --board, each is looked for in every picture.
     """
     from koala3d.calib.calibrate import calibrate_handeye
     from koala3d.calib.page.finish import finish
+    from koala3d.calib.targets.told_apart import check_told_apart
+    from koala3d.calib.together.boards import calibrate_boards
 
-    accuracy, allow_m = rig.accuracy(inexact), allowed_m(allow_mm)
+    check_lens(lens)
+    accuracy, allow_m = arm.accuracy(inexact), allowed_m(allow_mm)
     _check_out(out)
-    session, given = rig.read()
-    finish(calibrate_handeye(session, given, accuracy, rig.lens, allow_m), out, json)
+    searched = [(path, board_named(path)) for path in targets or ()]
+    check_told_apart([board for _, board in searched], [path for path, _ in searched])
+    pairs = [(recording, target) for recording in recordings for target in searched or [(None, None)]]
+    if len(pairs) > 1 and intrinsics is not None:
+        raise UsageError("several targets determine the camera themselves", where="--intrinsics", remedy="leave it out")
+    options = {"description": description, "leave_out": leave_out, "intrinsics": intrinsics, "lens": lens}
+    read = [RigOptions(recording=recording, **options).read(board) for recording, (_, board) in pairs]
+    if len(pairs) == 1:
+        return finish(calibrate_handeye(*read[0], accuracy, lens, allow_m), out, json)
+    names = [f"{recording}" if target is None else f"{recording}, {target}" for recording, (target, _) in pairs]
+    sessions, where = [session for session, _ in read], [recording for recording, _ in pairs]
+    finish(calibrate_boards(sessions, names, where, accuracy=accuracy, lens=lens, allow_m=allow_m).calibration, out, json)
 
 
-@app.command("compare")
+@app.command("compare", panel=STUDY)
 @spread
-def compare_command(rig: Rig, json: Json = False) -> None:
+def compare_command(rig: RigOptions, json: Json = False) -> None:
     """Compare all hand-eye methods on one session.
 
     Prints a table (Markdown) with the error of each method on views held out of its fit.
     """
-    from koala3d.calib.study import compare
+    from koala3d.calib import comparison
 
     accuracy = rig.accuracy()
-    rows = compare.compare(*rig.read(), accuracy, rig.lens)
-    console.report({"methods": [vars(row) for row in rows]}, as_json=json, text=compare.markdown(rows))
+    rows = comparison.compare(*rig.read(), accuracy, rig.lens)
+    console.report({"methods": [vars(row) for row in rows]}, as_json=json, text=comparison.markdown(rows))
 
 
-@app.command("verify")
+@app.command("verify", panel=CHECK)
 @spread
 def verify_command(
     pictures: Pictures,
@@ -103,33 +135,45 @@ def verify_command(
     console.report(result.to_json(), as_json=json, text=describe_verification(result))
 
 
-@app.command("report")
+@app.command("report", panel=LOOK)
 def report_command(
     path: CalibrationFile,
     out: Annotated[Path, Option("--out", help="HTML page to write.")],
     recording: RecordingMoved = None,
     description: Import = None,
+    distance: Annotated[
+        float, Option("--distance", min=1e-3, max=1e3, help="Show how certain points at this distance are [m].")
+    ] = 0.5,
+    against: Annotated[
+        list[Path] | None, Option("--against", help="Another calibration file, to show how far its camera differs; repeatable.")
+    ] = None,
     json: Json = False,
 ) -> None:
     """Write a page about a calibration.
 
-    It shows residuals over the image, errors of each view, coverage and error ellipses. The calibration is shown as stored.
-    The recording is searched for the target again.
+    It shows residuals, certainty and coverage over the image, errors of each view and error ellipses. The calibration is shown
+    as stored. The recording is searched for the target again.
     """
+    from koala3d.calib.intrinsics import crossval
     from koala3d.calib.page import report
     from koala3d.calib.page.evidence import gather, recording_of
     from koala3d.datasets.calibration import Calibration
 
     _check_out(out)
     calibration = Calibration.load(path)
+    others = {path.stem: crossval.compared(calibration.camera, Calibration.load(path).camera, path) for path in against or ()}
     leave_out = calibration.provenance.get("leave_out") is True
     found = Pictures(recording=recording_of(calibration, recording), description=description, leave_out=leave_out)
     session, _ = found.observe()
-    report.page(gather(calibration, session), made_by=console.command_line()).write(out)
-    console.report({"out": str(out), "residuals": calibration.residuals}, as_json=json, text=f"written to {out}")
+    evidence = gather(calibration, session)
+    report.page(evidence, made_by=console.command_line(), distance_m=distance, others=others).write(out)
+    differ = {name: {"rms_px": one.rms_px, "most_px": float(one.values_px.max())} for name, one in others.items()}
+    lines = [f"{name} differs by {one['rms_px']:.3f} px rms, at most {one['most_px']:.3f} px" for name, one in differ.items()]
+    result = {"out": str(out), "residuals": calibration.residuals.to_json(), "difference": differ}
+    console.report(result, as_json=json, text="\n".join([*lines, f"written to {out}"]))
 
 
-@app.command("view")
+@app.command("view", panel=LOOK)
 def view_command(
     path: CalibrationFile,
     recording: RecordingMoved = None,
@@ -148,16 +192,16 @@ def view_command(
     calibration = Calibration.load(path)
     with open_page(path.stem, port) as page:
         show(page, calibration, recording=recording, description=description)
-        rms = calibration.residuals.get("rms_px")
+        rms = calibration.residuals.rms_px
         result = {"url": page.url, "calibration": str(path), "rms_px": rms}
         console.report(result, as_json=json, text=f"{page.url} shows {path}; Ctrl-C ends it")
         page.serve()
 
 
-@app.command("plan")
+@app.command("plan", panel=CHECK)
 @spread
 def plan_command(
-    rig: Rig,
+    rig: RigOptions,
     out: Annotated[Path, Option("--out", help="Trajectory file to write (YAML), for 'capture plan' and 'capture run'.")],
     count: Annotated[int, Option("--count", min=1, max=100, help="Number of views.")] = 5,
     grow_mm: Annotated[float, Option("--grow-mm", min=0, help="Margin around the recorded camera positions [mm].")] = 50.0,
@@ -168,7 +212,7 @@ def plan_command(
     They lie in the box of the recorded camera positions. Check with 'capture plan' whether the arm can reach them.
     """
     from koala3d.calib import calibrate
-    from koala3d.calib.study import next_views
+    from koala3d.calib.advice import next_views
     from koala3d.datasets.recording import Recording
 
     accuracy = rig.accuracy()
@@ -186,7 +230,7 @@ def plan_command(
     console.report({"out": str(out), "before": found.before, "after": found.after}, as_json=json, text=text)
 
 
-@app.command("advise")
+@app.command("advise", hidden=True)
 @spread
 def advise_command(
     recording: Annotated[Path, Argument(metavar="RECORDING", help="Folder that 'capture calibrate' is writing.")],
@@ -205,8 +249,8 @@ def advise_command(
     """
     import sys
 
+    from koala3d.calib.advice.rehearsal import Rehearsed
     from koala3d.calib.advice.serve import Recorded, serve
-    from koala3d.calib.study.rehearsal import Rehearsed
     from koala3d.datasets.calibration import Calibration
 
     check_lens(lens)
@@ -215,55 +259,9 @@ def advise_command(
     serve(sys.stdin, console.line, answer)
 
 
-@app.command("refine")
-@spread
-def refine_command(
-    scene: Annotated[Path, Argument(metavar="SCENE", help="Scene made by 'datasets build', or any other that Koala reads.")],
-    out: Annotated[Path, Option("--out", help="Scene to write if the poses improve.")],
-    arm: Arm,
-    enough_px: Annotated[float, Option("--enough-px", min=0, help="Keep poses whose median error is below this [px].")] = 0.5,
-    json: Json = False,
-) -> None:
-    """Refine the camera poses of a scene by bundle adjustment.
-
-    The arm's poses are priors. Refined poses are used only if they explain held-out points better.
-    """
-    from koala3d.calib import sfm
-    from koala3d.datasets.core.files import refuse_existing
-    from koala3d.datasets.formats import koala, load_scene
-
-    accuracy = arm.accuracy()
-    refuse_existing(out)
-    found = sfm.refine_scene(load_scene(scene), prior=accuracy, enough_px=enough_px)
-    if found.used:
-        koala.save(found.scene, out)
-    moved = f"poses moved by {found.moved_mm:.3f} mm, {found.moved_deg:.4f} deg rms; written to {out}"
-    text = f"{found.reason}\n{moved if found.used else 'the poses are unchanged; nothing is written'}"
-    console.report({"out": str(out) if found.used else None, **found.to_json()}, as_json=json, text=text)
-
-
-app.command("uncertainty")(drawing.uncertainty)
-
-
-app.command("difference")(drawing.difference)
-
-
-app.command("cameras")(together_commands.cameras)
-
-
-app.command("boards")(together_commands.boards)
-
-
-app.command("turntable")(turntable_commands.turntable)
-
-
-app.command("board")(target_commands.board)
-
-
-app.command("bench")(study_commands.bench)
-
-
-app.command("study")(study_commands.study)
+app.command("cameras", panel=MAIN)(together_commands.cameras)
+app.command("turntable", panel=MAIN)(turntable_commands.turntable)
+app.command("board", panel=MAIN)(target_commands.board)
 
 
 def _check_out(out: Path) -> None:

@@ -19,37 +19,71 @@ if TYPE_CHECKING:
     from koala3d.datasets.calibration import Calibration
     from koala3d.datasets.targets.board import Board
 
+READING, CAMERA = "How the session is read", "Camera"
+ACCURACY, OFF = "How accurate the arm is", "What is off by the same in all views"
+
 RecordingPath = Annotated[
     Path, Argument(metavar="RECORDING", help="Folder made by 'capture run' with a calibration target in view.")
 ]
 Import = Annotated[
-    Path | None, Option("--import", help="How to read a folder of images and poses: a shipped name or a YAML file.")
+    Path | None,
+    Option("--import", help="How to read a folder of images and poses: a shipped name or a YAML file.", rich_help_panel=READING),
 ]
 LeaveOut = Annotated[
-    bool, Option("--leave-out", help="Leave out imported pictures without a pose, instead of refusing the session.")
+    bool,
+    Option(
+        "--leave-out",
+        help="Leave out imported pictures without a pose, instead of refusing the session.",
+        rich_help_panel=READING,
+    ),
 ]
-Lens = Annotated[str, Option("--lens", help="Lens model: auto, brown, rational, fisheye or splined.")]
+Lens = Annotated[str, Option("--lens", help="Lens model: auto, brown, rational, fisheye or splined.", rich_help_panel=CAMERA)]
 Intrinsics = Annotated[
-    Path | None, Option("--intrinsics", help="Calibration file with the camera. Default: estimate it as well.")
+    Path | None,
+    Option("--intrinsics", help="Calibration file with the camera. Default: estimate it as well.", rich_help_panel=CAMERA),
 ]
-ArmMm = Annotated[float, Option("--arm-mm", help="The arm's stated position accuracy per axis [mm].")]
-ArmDeg = Annotated[float, Option("--arm-deg", help="The arm's stated orientation accuracy per axis [deg].")]
+ArmMm = Annotated[float, Option("--arm-mm", help="The arm's stated position accuracy per axis [mm].", rich_help_panel=ACCURACY)]
+ArmDeg = Annotated[
+    float, Option("--arm-deg", help="The arm's stated orientation accuracy per axis [deg].", rich_help_panel=ACCURACY)
+]
 JointDeg = Annotated[
-    float, Option("--joint-deg", help="Accuracy of the joints' zeros [deg]. Above 0, joint offsets are estimated.")
+    float,
+    Option("--joint-deg", help="Accuracy of the joints' zeros [deg]. Above 0, joint offsets are estimated.", rich_help_panel=OFF),
 ]
 LinkMm = Annotated[
-    float, Option("--link-mm", help="Accuracy of the links' lengths [mm]. Above 0, errors of all lengths d and a are estimated.")
+    float,
+    Option(
+        "--link-mm",
+        help="Accuracy of the links' lengths [mm]. Above 0, errors of all lengths d and a are estimated.",
+        rich_help_panel=OFF,
+    ),
 ]
 LinkDeg = Annotated[
-    float, Option("--link-deg", help="Accuracy of the links' angles [deg]. Above 0, errors of all alpha and theta are estimated.")
+    float,
+    Option(
+        "--link-deg",
+        help="Accuracy of the links' angles [deg]. Above 0, errors of all alpha and theta are estimated.",
+        rich_help_panel=OFF,
+    ),
 ]
 PrintPercent = Annotated[
-    float, Option("--print-percent", help="Accuracy of the printed target's lengths [%]. Above 0, its stretch is estimated.")
+    float,
+    Option(
+        "--print-percent",
+        help="Accuracy of the printed target's lengths [%]. Above 0, its stretch is estimated.",
+        rich_help_panel=OFF,
+    ),
 ]
-SagMm = Annotated[float, Option("--sag-mm", help="How far the target may be bent [mm]. Above 0, its sag is estimated.")]
+SagMm = Annotated[
+    float, Option("--sag-mm", help="How far the target may be bent [mm]. Above 0, its sag is estimated.", rich_help_panel=OFF)
+]
 AllowMm = Annotated[
     float,
-    Option("--allow-mm", help="Accept poses uncertain by up to this many mm, for an inaccurate arm; the result is marked."),
+    Option(
+        "--allow-mm",
+        help="Accept poses uncertain by up to this many mm, for an inaccurate arm; the result is marked.",
+        rich_help_panel=ACCURACY,
+    ),
 ]
 
 
@@ -117,7 +151,7 @@ class Pictures:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rig(Arm, Pictures):
+class RigOptions(Arm, Pictures):
     """A session to calibrate the whole rig from."""
 
     intrinsics: Intrinsics = None

@@ -23,7 +23,7 @@ from koala3d.datasets.formats import koala
 from koala3d.datasets.formats.assemble import CAMERAS_ALONE
 from koala3d.datasets.imaging import images
 from koala3d.datasets.imaging.region import Region
-from koala3d.datasets.recording import DEPTH, FORMAT, MANIFEST, TRUTH, Frame, Recording
+from koala3d.datasets.recording import DEPTH, MANIFEST, TRUTH, Frame, Recording
 from koala3d.datasets.scene import CHANNELS, SPLITS, STATED, Scene, View
 from koala3d.datasets.structure import bounds
 from koala3d.datasets.structure.lamps import light_of
@@ -146,7 +146,7 @@ def camera_for(recording: Recording, calibration: Calibration) -> tuple[Camera, 
     """
     actual = images.size(recording.image_path(recording.frames[0]))
     calibrated, notes = calibration.camera, []
-    ours, theirs = Region.of_recording(recording.manifest, where=recording.path / MANIFEST), _calibrated_region(calibration)
+    ours, theirs = Region.of_recording(recording.manifest, where=recording.path / MANIFEST), calibration.region
     if ours is not None and theirs is not None:
         if ours != theirs:
             calibrated = theirs.converted(calibrated, ours)
@@ -159,17 +159,6 @@ def camera_for(recording: Recording, calibration: Calibration) -> tuple[Camera, 
         remedy = "calibrate with the same region of interest and binning"
         raise DatasetError("calibration is for another image size", where=recording.path, why=why, remedy=remedy)
     return calibrated, notes
-
-
-def _calibrated_region(calibration: Calibration) -> Region | None:
-    """Sensor region of the calibration's images: its own record; in older files, which lack it, that of its recording."""
-    folder = calibration.provenance.get("recording")
-    if calibration.region is not None or not isinstance(folder, str):
-        return calibration.region
-    manifest = Path(folder) / MANIFEST
-    if not manifest.is_file():
-        return None
-    return Region.of_recording(files.read_json(manifest, kind=FORMAT), where=manifest)
 
 
 def _words(region: Region) -> str:

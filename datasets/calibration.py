@@ -21,6 +21,7 @@ from koala3d.datasets.core.errors import DatasetError
 from koala3d.datasets.imaging.region import Region
 from koala3d.datasets.kinematics import UR5E, Links
 from koala3d.datasets.recording import Frame
+from koala3d.datasets.residuals import Residuals
 from koala3d.datasets.turntable import Axis
 
 FORMAT, VERSION = "koala-calibration", 1
@@ -38,14 +39,18 @@ class UncertainPose:
     """(6, 6): translation [m^2] first, then rotation vector [rad^2]."""
 
     @property
-    def translation_std_mm(self) -> NDArray[np.float64]:
-        """(3,) standard deviations of `matrix[:3, 3]` [mm].
+    def origin_covariance(self) -> NDArray[np.float64]:
+        """(3, 3) covariance of `matrix[:3, 3]` [m^2].
 
-        The covariance is about the first frame's origin, so its rotation part moves the second frame's origin too.
+        `covariance` is about the first frame's origin, so its rotation part moves the second frame's origin too.
         """
-        x, y, z = self.matrix[:3, 3]
-        by_twist = np.hstack([np.eye(3), [[0, z, -y], [-z, 0, x], [y, -x, 0]]])  # rotation part: -[position]x
-        return 1e3 * np.sqrt(np.diag(by_twist @ self.covariance @ by_twist.T))
+        by_twist = np.hstack([np.eye(3), -pose.cross(self.matrix[:3, 3])])
+        return by_twist @ self.covariance @ by_twist.T
+
+    @property
+    def translation_std_mm(self) -> NDArray[np.float64]:
+        """(3,) standard deviations of `matrix[:3, 3]` [mm]."""
+        return 1e3 * np.sqrt(np.diag(self.origin_covariance))
 
     @property
     def rotation_std_deg(self) -> NDArray[np.float64]:
@@ -126,18 +131,6 @@ class LinkErrors:
         return cls._credible(errors, std, links, where)
 
     @classmethod
-    def from_offsets(cls, content: Any, *, where: object) -> Self:
-        """Errors from the joint offsets in files of older versions; without links they are of a UR5e."""
-        try:
-            stored = content.get("links")
-            links = UR5E if stored is None else Links.from_json(stored, where=f"{where}, links")
-            offsets, std = (np.asarray(content[key], np.float64).reshape(links.count) for key in ("offsets_rad", "std_rad"))
-        except (TypeError, KeyError, ValueError, AttributeError) as error:
-            raise DatasetError("joint offsets are not complete", where=where, why=str(error)) from None
-        none = np.zeros(3 * links.count)
-        return cls._credible(np.concatenate([none, offsets]), np.concatenate([none, std]), links, where)
-
-    @classmethod
     def _credible(cls, errors: NDArray[np.float64], std: NDArray[np.float64], links: Links, where: object) -> Self:
         if not (np.isfinite([errors, std]).all() and np.abs(errors).max() < 1):
             raise DatasetError("errors of the links are not credible", where=where, why=f"{errors.tolist()} m, rad")
@@ -165,9 +158,9 @@ class Calibration:
     turntable: Axis | None = None
     """Axis of the turntable on which the object stands, where it was calibrated."""
     region: Region | None = None
-    """Region of the sensor that the recorded images show; None where it is not known, as in files of older versions."""
-    residuals: dict[str, Any] = field(default_factory=dict)
-    """Residuals of the fit: `rms_px`, per-view errors, held-out error, counts."""
+    """Region of the sensor that the recorded images show; None if the session did not say."""
+    residuals: Residuals = field(default_factory=Residuals)
+    """How well it fits, and how well it predicts views held out of the fit."""
     provenance: dict[str, Any] = field(default_factory=dict)
     """Recording path and hash, target, method, software versions."""
 
@@ -212,7 +205,7 @@ class Calibration:
         content |= dict.fromkeys(_POSES[:2]) | {name: value.to_json() for name, value in self.poses.items()}
         optional = {"link_errors": self.link_errors, "turntable": self.turntable, "region": self.region}
         content |= {name: value.to_json() for name, value in optional.items() if value}
-        files.write_json(path, {**content, "residuals": self.residuals, "provenance": self.provenance})
+        files.write_json(path, {**content, "residuals": self.residuals.to_json(), "provenance": self.provenance})
 
     @classmethod
     def load(cls, path: Path) -> Self:
@@ -227,8 +220,6 @@ class Calibration:
                 stored[name] = UncertainPose.from_json(content[name], where=f"{path}, {name}")
         if content.get("link_errors"):
             stored["link_errors"] = LinkErrors.from_json(content["link_errors"], where=f"{path}, link_errors")
-        elif content.get("joint_offsets"):
-            stored["link_errors"] = LinkErrors.from_offsets(content["joint_offsets"], where=f"{path}, joint_offsets")
         if content.get("turntable"):
             stored["turntable"] = Axis.from_json(content["turntable"], where=f"{path}, turntable")
         if content.get("region"):
@@ -238,6 +229,7 @@ class Calibration:
             if not isinstance(stored[name], dict):
                 raise DatasetError("is not made of names and values", where=f"{path}, {name}", why=str(stored[name])[:80])
             _check_finite(stored[name], f"{path}, {name}")
+        stored["residuals"] = Residuals.from_json(stored["residuals"], where=f"{path}, residuals")
         return cls(camera, **stored)
 
 

@@ -7,10 +7,11 @@ from typing import Annotated, Any
 import typer
 
 from koala3d.datasets.core import console, options
+from koala3d.datasets.core.help import CHECK, LOOK, MAIN
 from koala3d.datasets.core.options import DataRoot, Json, OutFolder, OutPage, Port
-from koala3d.datasets.edit import commands
-from koala3d.datasets.process import command
-from koala3d.datasets.segmentation import command as segmentation
+from koala3d.datasets.edit import commands as edit
+from koala3d.datasets.process import commands as process
+from koala3d.datasets.segmentation import commands as segmentation
 
 app = console.make_app("datasets", "Build scenes from recordings; inspect, check, edit and export scenes of every format.")
 
@@ -29,7 +30,7 @@ def _formats(incomplete: str) -> list[str]:
     return [name for name in WRITERS if name.startswith(incomplete)]
 
 
-@app.command()
+@app.command(panel=MAIN)
 def build(
     recording: Annotated[Path, typer.Argument(help="Folder written by 'capture run'.")],
     calibration: Annotated[Path, typer.Option(help="File written by 'calib handeye'.")],
@@ -41,7 +42,9 @@ def build(
     white: Annotated[
         float | None,
         typer.Option(
-            min=0.01, max=1e4, help="Of brackets: light that becomes white, 1 for the longest exposure's. Default: measured."
+            min=0.01,
+            max=1e4,
+            help="Light that becomes white in a picture of several exposures; 1 is white in the longest. Default: measured.",
         ),
     ] = None,
     as_json: Json = False,
@@ -57,7 +60,7 @@ def build(
     console.report({"scene": str(out), **summary(scene)}, as_json=as_json, text=f"{_text(summary(scene))}\nwritten to {out}")
 
 
-@app.command()
+@app.command(panel=LOOK)
 def info(
     scene: options.Scene,
     images: Images = None,
@@ -73,7 +76,7 @@ def info(
     console.report(found, as_json=as_json, text=_text(found))
 
 
-@app.command()
+@app.command(panel=CHECK)
 def check(
     scene: options.Scene, images: Images = None, quick: Quick = False, data_root: DataRoot = None, as_json: Json = False
 ) -> int:
@@ -92,7 +95,7 @@ def check(
     return 1 if errors else 0
 
 
-@app.command()
+@app.command(panel=LOOK)
 def view(
     scene: options.Scene,
     port: Port = 8080,
@@ -116,7 +119,7 @@ def view(
         page.serve()
 
 
-@app.command()
+@app.command(panel=LOOK)
 def report(
     scene: options.Scene,
     out: OutPage,
@@ -138,8 +141,7 @@ def report(
     console.report({"out": str(out), "errors": errors, "warnings": warnings}, as_json=as_json, text=text)
 
 
-@app.command()
-@app.command("convert")
+@app.command(panel=MAIN)
 def export(
     scene: options.Scene,
     format: Annotated[
@@ -168,7 +170,7 @@ def export(
     console.report({"out": str(out), "format": format, "views": count, "limits": limits}, as_json=as_json, text=text)
 
 
-@app.command()
+@app.command(panel=CHECK)
 def truth(
     recording: Annotated[Path, typer.Argument(help="Folder written by 'capture run' on the simulated rig.")],
     calibration: Annotated[Path, typer.Option(help="File written by 'calib handeye'.")],
@@ -176,7 +178,7 @@ def truth(
 ) -> None:
     """Compare a calibration with the true geometry of a simulated rig."""
     from koala3d.datasets.calibration import Calibration
-    from koala3d.datasets.truth import calibration_error
+    from koala3d.datasets.checks.truth import calibration_error
 
     found = calibration_error(recording, Calibration.load(calibration))
     text = "error of the hand-eye pose: {hand_eye_mm:.3f} mm, {hand_eye_deg:.4f} deg\n".format(**found)
@@ -188,72 +190,8 @@ def truth(
     console.report(found, as_json=as_json, text=text)
 
 
-@app.command()
-def bench(
-    count: Annotated[int, typer.Option(help="Number of images to read.")] = 50,
-    suffix: Annotated[str, typer.Option(help="Their format: .png, .jpg, .tif or .exr.")] = ".png",
-    as_json: Json = False,
-) -> None:
-    """Measure how long it takes to read 1920x1080 images and shrink them by four."""
-    from koala3d.datasets.imaging.bench import read_and_shrink
-
-    found = read_and_shrink(count, suffix=suffix)
-    text = (
-        "{images:.0f} images of {width:.0f}x{height:.0f} ({file_mb:.1f} MB each) read and shrunk to "
-        "{small_width:.0f}x{small_height:.0f} in {seconds:.2f} s ({cpu_seconds:.2f} s of CPU time); "
-        "peak memory grew by {peak_growth_mb:.1f} MB after the first ten"
-    )
-    console.report(found, as_json=as_json, text=text.format(**found))
-
-
-@app.command("bench-check")
-def bench_check(
-    scenes: Annotated[list[Path] | None, typer.Argument(metavar="SCENE...", help="Good scenes to injure.")] = None,
-    injuries: Annotated[list[str] | None, typer.Option("--injury", help="Injury to include; repeatable.")] = None,
-    lights: Annotated[bool, typer.Option("--lights/--no-lights", help="Also simulate lamps that do not stand still.")] = True,
-    as_json: Json = False,
-) -> None:
-    """Injure good scenes in every way at three strengths, and count what 'datasets check' names."""
-    from koala3d.datasets.core.errors import UsageError, nearest
-    from koala3d.datasets.formats import load_scene
-    from koala3d.datasets.injuries.bench import table, trials
-    from koala3d.datasets.injuries.injure import INJURIES
-
-    names = {one.name: one for one in INJURIES}
-    for name in injuries or ():
-        if name not in names:
-            raise UsageError(f"there is no injury '{name}'", where="--injury", remedy=nearest(name, names))
-    chosen = [names[name] for name in injuries] if injuries else list(INJURIES)
-    loaded = [load_scene(path, measure=True) for path in scenes or ()]
-    with console.progress("checking", len(loaded) * (1 + 3 * len(chosen)) + 6 * lights, "trials") as shown:
-        found = list(trials(loaded, injuries=chosen, lights=lights, done=shown.advance))
-    console.report({"trials": [vars(trial) for trial in found]}, as_json=as_json, text=table(found))
-
-
-@app.command("bench-reading")
-def bench_reading(
-    count: Annotated[int, typer.Option(help="Number of photographs of 16 megapixels.", min=1)] = 57,
-    scale: Annotated[float, typer.Option(help="Share of their size at which they are read.", min=0.001, max=1.0)] = 0.1,
-    as_json: Json = False,
-) -> None:
-    """Measure how long it takes to read photographs at a smaller size, as training does, and compare it with OpenCV."""
-    from koala3d.datasets.imaging.bench import read_photographs
-
-    found = read_photographs(count, scale=scale)
-    found["ratio"] = found["seconds"] / found["opencv_seconds"]
-    text = (
-        "{images:.0f} photographs of {width:.0f}x{height:.0f} ({file_mb:.1f} MB each) read at {small_width:.0f}x"
-        "{small_height:.0f} in {seconds:.2f} s ({cpu_seconds:.2f} s of CPU time), {ratio:.2f} times OpenCV's "
-        "{opencv_seconds:.2f} s ({opencv_cpu_seconds:.2f}); from their copies in {again_seconds:.2f} s "
-        "({again_cpu_seconds:.2f}); differences from decoding all pixels: {largest_difference:.2f} of 255 at most, "
-        "{mean_difference:.2f} on average"
-    )
-    console.report(found, as_json=as_json, text=text.format(**found))
-
-
-commands.add_to(app)
-command.add_to(app)
-segmentation.add_to(app)
+for part in (process, edit, segmentation):
+    part.add_to(app)
 
 
 def _numbers(text: str) -> tuple[int, ...]:

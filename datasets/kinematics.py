@@ -130,12 +130,6 @@ def jacobian(joints: ArrayLike, links: Links = UR5E) -> Array:
     return np.swapaxes(columns, -1, -2)
 
 
-def flange_jacobian(joints: ArrayLike, links: Links = UR5E) -> Array:
-    """`jacobian` with the velocity in flange axes."""
-    in_base, flange_from_base = jacobian(joints, links), np.swapaxes(forward(joints, links)[..., :3, :3], -1, -2)
-    return np.concatenate([flange_from_base @ in_base[..., :3, :], flange_from_base @ in_base[..., 3:, :]], axis=-2)
-
-
 def link_motions(joints: ArrayLike, links: Links = UR5E) -> Array:
     """(..., 6, 4 n) motion of the flange, in flange axes, for small errors of the parameters: d, a, alpha, theta of all links.
 

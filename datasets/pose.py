@@ -63,6 +63,19 @@ def difference(a: ArrayLike, b: ArrayLike) -> tuple[NDArray[np.float64], NDArray
     return np.linalg.norm(a[..., :3, 3] - b[..., :3, 3], axis=-1), rotation_angle(inverse(a) @ b)
 
 
+def rms_difference(a: ArrayLike, b: ArrayLike) -> tuple[float, float]:
+    """Root mean square difference of two poses or (..., 4, 4) stacks of them: translation [mm], rotation [deg]."""
+    distance, angle = difference(a, b)
+    return 1e3 * float(np.sqrt(np.mean(distance**2))), float(np.rad2deg(np.sqrt(np.mean(angle**2))))
+
+
+def cross(vectors: ArrayLike) -> NDArray[np.float64]:
+    """(..., 3, 3) matrices of the cross product with (..., 3) vectors."""
+    x, y, z = np.moveaxis(np.asarray(vectors, np.float64), -1, 0)
+    none = np.zeros_like(x)
+    return np.stack([np.stack(row, -1) for row in ((none, -z, y), (z, none, -x), (-y, x, none))], -2)
+
+
 def look_at(position: ArrayLike, target: ArrayLike, up: ArrayLike = (0, 0, 1)) -> Matrix:
     """`world_from_camera` (OpenCV axes) of a camera at `position` whose z axis meets `target`, y axis away from `up`."""
     position = np.asarray(position, np.float64)

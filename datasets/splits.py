@@ -1,12 +1,15 @@
-"""Held-out views: every Nth view for testing, and folds for cross-validation."""
+"""Choices of views: every Nth for testing, some evenly spread, folds for cross-validation."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from koala3d.datasets.scene import View
+
+Item = TypeVar("Item")
 
 
 def hold_out(views: Iterable[View], every: int) -> tuple[View, ...]:
@@ -14,6 +17,11 @@ def hold_out(views: Iterable[View], every: int) -> tuple[View, ...]:
     views = tuple(views)
     test = {view.name for view in sorted(views, key=lambda view: view.name)[::every]} if every > 0 else set()
     return tuple(replace(view, split="test" if view.name in test else "train") for view in views)
+
+
+def evenly(items: Sequence[Item], most: int) -> tuple[Item, ...]:
+    """At most so many of the items, evenly spread from the first to the last."""
+    return tuple(items[i] for i in np.unique(np.linspace(0, len(items) - 1, most).round().astype(int)))
 
 
 def folds(count: int, most: int) -> NDArray[np.int64]:

@@ -1,13 +1,6 @@
 """Settings of JAX that commands make; a library must not impose them."""
 
-import os
-from pathlib import Path
-
-
-def cache_folder() -> Path:
-    """Folder for reproducible files: KOALA_CACHE, or below the user's cache folder."""
-    default = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "koala"
-    return Path(os.environ.get("KOALA_CACHE") or default)
+from koala3d.datasets.core.files import cache_folder as cache_folder
 
 
 def cache_compilations() -> None:

@@ -32,7 +32,7 @@ def test_the_list_of_libraries_is_not_empty() -> None:
     ("package", "arguments", "words"),
     [
         ("capture", [], ["run", "plan", "calibrate", "check", "sim", "view", "doctor"]),
-        ("calib", [], ["intrinsics", "handeye", "bench", "view"]),
+        ("calib", [], ["intrinsics", "handeye", "board", "view"]),
         ("calib", ["handeye"], ["RECORDING"]),
         ("datasets", [], ["build", "info", "check", "export"]),
         (

@@ -92,7 +92,7 @@ def test_every_stop_has_a_frame_of_each_camera(koala, recorded: tuple[Path, list
 
 @pytest.mark.timeout(600)
 def test_the_cameras_are_where_they_truly_are(koala, recorded: tuple[Path, list[str]], tmp_path: Path) -> None:
-    """Errors within four deviations of what is stated. One session; `docs/calibration.md` has the statistics."""
+    """Errors within four deviations of what is stated. One session; `docs/calibration_figures.md` has the statistics."""
     out, _ = recorded
     words = koala("calib", "cameras", out / "left", out / "right", "--same-stops", "--out", tmp_path / "pair")
     assert f"{VIEWS} of {VIEWS} stops were seen by more than one camera" in words

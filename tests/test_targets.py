@@ -19,9 +19,10 @@ from koala3d.capture.rig.rig import Rig
 from koala3d.capture.sim.camera import SimulatedCamera
 from koala3d.capture.sim.kinematic_arm import KinematicArm
 from koala3d.capture.sim.truth import RigTruth
-from koala3d.datasets import pose, truth
+from koala3d.datasets import pose
 from koala3d.datasets.calibration import Calibration
 from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.checks import truth
 from koala3d.datasets.core import files
 from koala3d.datasets.recording import Recording
 

@@ -16,6 +16,7 @@ from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.imaging.region import Region
 from koala3d.datasets.recording import Recording
+from koala3d.datasets.residuals import Residuals
 from koala3d.datasets.turntable import Axis
 
 SMALL = ["views.0.count=1", "views.0.turntable.steps=4", "camera.binning=4", "camera.width=480", "camera.height=270"]
@@ -30,7 +31,7 @@ def test_the_axis_of_the_simulated_table_is_found(tmp_path):
     mount = UncertainPose(np.array(truth["flange_from_camera"]), np.diag(np.repeat([1e-5, 1e-5], 3) ** 2))
     region = Region.of_recording(Recording.open(tmp_path / "rec").manifest, where="manifest")
     camera = Camera.from_json(truth["camera"], where="truth")
-    Calibration(camera, {}, mount, region=region, residuals={"rms_px": 0.1}).save(tmp_path / "cal.json")
+    Calibration(camera, {}, mount, region=region, residuals=Residuals(rms_px=0.1)).save(tmp_path / "cal.json")
     arguments = ["--calibration", str(tmp_path / "cal.json"), "--out", str(tmp_path / "axis.json"), "--json"]
     ran = CliRunner().invoke(app, ["turntable", str(tmp_path / "rec"), *arguments])
     assert ran.exit_code == 0, ran.output

@@ -6,7 +6,7 @@ import numpy as np
 
 from koala3d.calib import calibrate
 from koala3d.calib.advice import information, rough
-from koala3d.calib.advice.information import Known
+from koala3d.calib.advice.information import Knowledge
 from koala3d.calib.arrays import Array
 from koala3d.calib.errors import CalibrationError, TargetError, Unobservable
 from koala3d.calib.handeye import outliers, uncertainty
@@ -38,7 +38,7 @@ class Adviser:
     """What the views so far have shown. `update` takes more of them; the other methods answer questions."""
 
     wanted: Wanted
-    known: Known | None = None  # None before the first view with the board
+    known: Knowledge | None = None  # None before the first view with the board
     figures: Figures | None = None  # limits of both errors; None while the views do not allow a calibration
     refused: str = ""  # why there is no calibration yet
     solution: calibrate.Solution | None = None  # of all views so far, if they allow one
@@ -80,7 +80,7 @@ class Adviser:
         uncertainty.covariance(fit.measured, refined)  # refuses what a calibration would refuse
         camera = projection.with_vector(first.camera, refined.state.intrinsics)
         found = (refined.state, refined.sigmas, refined.information, session.eye_to_hand)
-        self.known = Known(camera, session.board, free, *found)
+        self.known = Knowledge(camera, session.board, free, *found)
         self.figures, self.refused = information.figures(refined.information, refined.state), ""
         self.solution = replace(solution, first=replace(first, free=free, left_out={**left_out, **first.left_out}), fit=fit)
 

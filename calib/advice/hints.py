@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from koala3d.calib.advice import information
-from koala3d.calib.advice.information import Known
-from koala3d.calib.advice.patterns import Pattern, Rig, viewpoints
+from koala3d.calib.advice.information import Knowledge
+from koala3d.calib.advice.patterns import Rig, ViewRange, viewpoints
 from koala3d.calib.arrays import Array
 from koala3d.datasets import pose
 from koala3d.datasets.advice import Figures
@@ -22,7 +22,7 @@ STEEP_DEG = (25.0, 55.0)
 STEEP_ENOUGH_DEG = 40.0  # median tilt above which more is not advised
 
 
-def hints(known: Known, base_from_flange: Array, figures: Figures, until: Figures) -> list[str]:
+def hints(known: Knowledge, base_from_flange: Array, figures: Figures, until: Figures) -> list[str]:
     """What would help after views from (n, 4, 4) flange poses, the most useful first; then how many views would do."""
     now, views = _as_now(known, base_from_flange), len(base_from_flange)
     worse = int(np.argmax([figures[0] / until[0], figures[1] / until[1]]))
@@ -40,25 +40,25 @@ def hints(known: Known, base_from_flange: Array, figures: Figures, until: Figure
     return [*lines, f"more views: about {needed} in all for {until[0]:g} mm and {until[1]:g} deg"] if needed > views else lines
 
 
-def _as_now(known: Known, base_from_flange: Array) -> Pattern:
+def _as_now(known: Knowledge, base_from_flange: Array) -> ViewRange:
     """The ranges of the views that were taken."""
     in_board = _cameras_in_board(known, base_from_flange)
     distance = np.linalg.norm(in_board[:, :3, 3] - np.append(known.board.points[:, :2].mean(0), 0.0), axis=1)
     tilt = np.rad2deg(np.arccos(np.clip(in_board[:, 2, 2], -1, 1)))
     near, far = np.percentile(distance, [10, 90])
-    return Pattern((float(tilt.min()), float(tilt.max())), (float(near), float(far)), shift_m=0.05)
+    return ViewRange((float(tilt.min()), float(tilt.max())), (float(near), float(far)), shift_m=0.05)
 
 
-def _cameras_in_board(known: Known, base_from_flange: Array) -> Array:
+def _cameras_in_board(known: Knowledge, base_from_flange: Array) -> Array:
     stand_from_mount = pose.inverse(base_from_flange) if known.eye_to_hand else base_from_flange
     return pose.inverse(known.state.stand_from_board) @ stand_from_mount @ known.state.mount_from_camera
 
 
-def _median_tilt(known: Known, base_from_flange: Array) -> float:
+def _median_tilt(known: Knowledge, base_from_flange: Array) -> float:
     return float(np.median(np.rad2deg(np.arccos(np.clip(_cameras_in_board(known, base_from_flange)[:, 2, 2], -1, 1)))))
 
 
-def _changes(board: Board, now: Pattern, tilt_deg: float) -> Iterator[tuple[str, Board, Pattern]]:
+def _changes(board: Board, now: ViewRange, tilt_deg: float) -> Iterator[tuple[str, Board, ViewRange]]:
     """Changes in words, each with its board and its views."""
     square = board.square_length_m
     larger = board.with_squares(round(1.5 * board.squares_x), round(1.5 * board.squares_y))
@@ -79,7 +79,7 @@ def _changes(board: Board, now: Pattern, tilt_deg: float) -> Iterator[tuple[str,
     )
 
 
-def _expected(known: Known, board: Board, pattern: Pattern, views: int) -> Figures | None:
+def _expected(known: Knowledge, board: Board, pattern: ViewRange, views: int) -> Figures | None:
     """Figures of as many views of a pattern, from the mean information of those drawn; None where they say too little."""
     state = known.state
     middle = state.stand_from_board @ pose.rigid(

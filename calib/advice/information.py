@@ -14,10 +14,11 @@ from scipy.special import chdtri
 
 from koala3d.calib.arrays import Array, Mask
 from koala3d.calib.handeye import model
-from koala3d.calib.handeye.model import Session, State
+from koala3d.calib.handeye.model import Measurements, State
 from koala3d.calib.handeye.refine import Sigmas
 from koala3d.calib.intrinsics import projection
 from koala3d.calib.solver.elimination import covariance_of
+from koala3d.datasets import pose
 from koala3d.datasets.advice import Figures
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.targets.board import Board
@@ -32,7 +33,7 @@ BLOCK = 100  # views computed at once; limits the memory
 
 
 @dataclass(frozen=True)
-class Known:
+class Knowledge:
     """What a session has shown so far, as far as the choice of the next view needs it."""
 
     camera: Camera
@@ -60,7 +61,7 @@ def visible(in_camera: Array, pixels: Array, camera: Camera) -> Mask:
     return inside_image(pixels, camera) & (in_camera[:, 2] > MIN_DEPTH_M) & straight
 
 
-def informations(known: Known, base_from_flange: Array) -> list[Array | None]:
+def informations(known: Knowledge, base_from_flange: Array) -> list[Array | None]:
     """(p, p) information of a view from each of (n, 4, 4) flange poses; None where it shows too little of the board."""
     found: list[Array | None] = []
     for first in range(0, len(base_from_flange), BLOCK):
@@ -68,12 +69,12 @@ def informations(known: Known, base_from_flange: Array) -> list[Array | None]:
     return found
 
 
-def _block(known: Known, base_from_flange: Array) -> list[Array | None]:
+def _block(known: Knowledge, base_from_flange: Array) -> list[Array | None]:
     points, views = known.board.points, len(base_from_flange)
     state = replace(known.state, corrections=np.zeros((views, 6)))
     view, every = np.repeat(np.arange(views), len(points)), np.tile(points, (views, 1))
     form = projection.form(known.camera)
-    session = Session(
+    session = Measurements(
         base_from_flange, view, np.zeros((len(view), 2)), every, known.free, form=form, eye_to_hand=known.eye_to_hand
     )
     in_camera = model.camera_points(session, state)
@@ -128,9 +129,8 @@ def at_the_pose(covariance: Array, state: State) -> Array:
 
     A turn about the frame's origin moves the camera's centre c as well: moved = t + w x c.
     """
-    x, y, z = state.mount_from_camera[:3, 3]
     change = np.eye(6)
-    change[:3, 3:] = [[0, z, -y], [-z, 0, x], [y, -x, 0]]
+    change[:3, 3:] = -pose.cross(state.mount_from_camera[:3, 3])
     return np.asarray(change @ covariance @ change.T, np.float64)
 
 

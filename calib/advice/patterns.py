@@ -23,7 +23,7 @@ class Rig:
 
 
 @dataclass(frozen=True)
-class Pattern:
+class ViewRange:
     """How views lie around the board: each quantity is drawn evenly from its range."""
 
     tilt_deg: tuple[float, float] = (0.0, 35.0)  # between the optical axis and the board's normal; even over the sphere's surface
@@ -32,7 +32,7 @@ class Pattern:
     shift_m: float = 0.03  # the point looked at lies up to this far beside the board's middle, along x and along y
 
 
-def viewpoints(rng: Generator, rig: Rig, views: int, pattern: Pattern) -> Array:
+def viewpoints(rng: Generator, rig: Rig, views: int, pattern: ViewRange) -> Array:
     """(views, 4, 4) base_from_camera on the board's seen side."""
     board = rig.base_from_board
     middle = np.append(rig.board.points[:, :2].mean(0), 0.0)

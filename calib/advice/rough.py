@@ -10,7 +10,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from koala3d.calib.advice.information import Known, informations
+from koala3d.calib.advice.information import Knowledge, informations
 from koala3d.calib.arrays import Array
 from koala3d.calib.handeye.model import Accuracy, State
 from koala3d.calib.handeye.refine import Sigmas
@@ -30,7 +30,7 @@ FOCAL_RANGE = (0.3, 5.0)  # believable focal lengths, as shares of the width
 USUAL_FOCAL = 0.8  # share of the width that is taken where the views do not tell
 
 
-def known(session: TargetSession, mount: Array, accuracy: Accuracy) -> Known:
+def known(session: TargetSession, mount: Array, accuracy: Accuracy) -> Knowledge:
     """What one or more views say, with priors for the rest.
 
     Args:
@@ -43,7 +43,7 @@ def known(session: TargetSession, mount: Array, accuracy: Accuracy) -> Known:
     free = lenses.USUAL.free
     sigmas = Sigmas(SIGMA_PX, accuracy.translation_m, accuracy.rotation_rad)
     prior = np.diag(_deviations(camera, free) ** -2.0)
-    first = Known(camera, session.board, free, state, sigmas, prior, session.eye_to_hand)
+    first = Knowledge(camera, session.board, free, state, sigmas, prior, session.eye_to_hand)
     told = [information for information in informations(first, flown) if information is not None]
     return replace(first, information=prior + np.sum(told, axis=0))
 

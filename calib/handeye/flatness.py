@@ -6,7 +6,7 @@ import numpy as np
 
 from koala3d.calib.arrays import Array
 from koala3d.calib.handeye import refine
-from koala3d.calib.handeye.model import Session, State
+from koala3d.calib.handeye.model import Measurements, State
 from koala3d.calib.handeye.refine import Refined
 
 TRIED = (0.005, 2e-3)
@@ -17,7 +17,7 @@ SURE = (
 WORTH = np.array([3e-4, 3e-4, 1e-4, 1e-4])  # smaller shapes are not said: lens models of other kinds leave as much
 
 
-def asked_for(session: Session, refined: Refined[State]) -> Array | None:
+def asked_for(session: Measurements, refined: Refined[State]) -> Array | None:
     """(4,) `shape` that one Gauss-Newton step from the answer asks for; None where the target may as well be flat."""
     if session.shaped:
         return None

@@ -12,7 +12,7 @@ import numpy as np
 from koala3d.calib.arrays import Array
 from koala3d.calib.errors import CalibrationError
 from koala3d.calib.handeye import refine, verify
-from koala3d.calib.handeye.model import Accuracy, Session
+from koala3d.calib.handeye.model import Accuracy, Measurements
 from koala3d.calib.handeye.refine import Refined
 from koala3d.calib.sessions.session import TargetSession
 from koala3d.datasets import kinematics, pose
@@ -51,7 +51,7 @@ def _apart(angles: Array, base_from_flange: Array, links: kinematics.Links) -> t
     return float(np.median(distance)), float(np.median(angle))
 
 
-def found(session: Session, refined: Refined, covariance: Array) -> LinkErrors | None:
+def found(session: Measurements, refined: Refined, covariance: Array) -> LinkErrors | None:
     """The errors out of a refinement and the (p, p) covariance of its global parameters; None where none were asked for."""
     if not session.erring:
         return None
@@ -60,7 +60,7 @@ def found(session: Session, refined: Refined, covariance: Array) -> LinkErrors |
     return LinkErrors(refined.state.link_errors, std, session.links)
 
 
-def facts(session: Session, refined: Refined, found: LinkErrors) -> dict[str, Any]:
+def facts(session: Measurements, refined: Refined, found: LinkErrors) -> dict[str, Any]:
     """For the calibration file: errors that the views do not determine, and the held-out error without any."""
     plain = replace(session, joints=None)
     start = replace(refined.state, link_errors=0 * refined.state.link_errors, corrections=0 * refined.state.corrections)

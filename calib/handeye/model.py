@@ -29,7 +29,7 @@ from koala3d.calib.arrays import Array, Indices, Mask
 from koala3d.calib.errors import CalibrationError
 from koala3d.calib.handeye import surface
 from koala3d.calib.intrinsics import estimate, projection
-from koala3d.calib.intrinsics.known import Known
+from koala3d.calib.intrinsics.prior import IntrinsicsPrior
 from koala3d.calib.intrinsics.projection import PLAIN, Form
 from koala3d.calib.sessions.session import TargetSession
 from koala3d.calib.solver.geometry import by_motion, exponential, rotate
@@ -63,7 +63,7 @@ class Accuracy:
 
 
 @dataclass(frozen=True)
-class Session:
+class Measurements:
     """What was measured: corners of all views in one list, and the arm's report for each view."""
 
     base_from_flange: Array  # (views, 4, 4) as reported
@@ -71,7 +71,7 @@ class Session:
     pixels: Array  # (n, 2) [px]
     points: Array  # (n, 3) on the board [m]
     free: tuple[str, ...] = ("fx", "fy", "cx", "cy")
-    known: Known | None = None  # of `free` intrinsics, from elsewhere
+    known: IntrinsicsPrior | None = None  # of `free` intrinsics, from elsewhere
     accuracy: Accuracy = Accuracy()  # the arm's, as stated
     form: Form = PLAIN  # of the lens
     eye_to_hand: bool = False  # whether the camera stands beside the arm and the board is on the flange
@@ -114,7 +114,7 @@ class Session:
         """Indices of `free` in the intrinsics vector."""
         return projection.columns(self.free)
 
-    def some(self, chosen: Mask) -> "Session":
+    def some(self, chosen: Mask) -> "Measurements":
         """The same with the corners of `chosen` (n,) alone; views keep their numbers."""
         return replace(self, view=self.view[chosen], pixels=self.pixels[chosen], points=self.points[chosen])
 
@@ -157,11 +157,13 @@ class Session:
         return surface.by_shape(self.points, surface.extent_of(self.points) if self.extent is None else self.extent)
 
 
-def measured(session: TargetSession, free: Sequence[str], known: Known | None, accuracy: Accuracy, form: Form = PLAIN) -> Session:
+def measured(
+    session: TargetSession, free: Sequence[str], known: IntrinsicsPrior | None, accuracy: Accuracy, form: Form = PLAIN
+) -> Measurements:
     """All corners of a target session in one list."""
     extent = surface.extent_of(session.board.points)
     options = (tuple(free), known, accuracy, form, session.eye_to_hand, session.joints, session.links, extent)
-    return Session(session.base_from_flange, *estimate.flat(session.observations), *options)
+    return Measurements(session.base_from_flange, *estimate.flat(session.observations), *options)
 
 
 @dataclass(frozen=True)
@@ -185,7 +187,7 @@ def perturbed(a_from_b: Array, twist: Array) -> Array:
     return pose.from_rotation_vector(twist[3:], twist[:3]) @ a_from_b
 
 
-def predict(session: Session, state: State) -> tuple[Array, Array, Array]:
+def predict(session: Measurements, state: State) -> tuple[Array, Array, Array]:
     """Predicted corners and their derivatives.
 
     Returns:
@@ -209,7 +211,7 @@ def predict(session: Session, state: State) -> tuple[Array, Array, Array]:
     return pixels, np.concatenate(by_global, -1), own
 
 
-def camera_points(session: Session, state: State) -> Array:
+def camera_points(session: Measurements, state: State) -> Array:
     """(n, 3) corners in the camera frame of their view [m]."""
     return _chain(session, state).in_camera
 
@@ -225,7 +227,7 @@ class _Chain:
     camera_from_mount: Array  # (3, 3)
 
 
-def _chain(session: Session, state: State) -> _Chain:
+def _chain(session: Measurements, state: State) -> _Chain:
     rotation, _ = exponential(state.corrections[:, 3:])
     flange = _reported(session, state) @ pose.rigid(rotation, state.corrections[:, :3])
     mounts = flange if session.eye_to_hand else pose.inverse(flange)
@@ -237,14 +239,14 @@ def _chain(session: Session, state: State) -> _Chain:
     return _Chain(on_stand, on_mount, in_camera, mounts[:, :3, :3], camera_from_mount[:3, :3])
 
 
-def _reported(session: Session, state: State) -> Array:
+def _reported(session: Measurements, state: State) -> Array:
     """(views, 4, 4) base_from_flange @ D: the report with errors of the links corrected."""
     if session.joints is None or not state.link_errors.any():
         return session.base_from_flange
     return kinematics.corrected(session.base_from_flange, session.joints, state.link_errors, session.links)
 
 
-def _link_motions(session: Session, state: State, rotation: Array) -> Array:
+def _link_motions(session: Measurements, state: State, rotation: Array) -> Array:
     """(views, 6, k) motion of the true flange, in its own frame, for a small error of each parameter of `session.erring`.
 
     The kinematics give that of the reported flange; seen from the flange that `rotation` (views, 3, 3) and the translation of

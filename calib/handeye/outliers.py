@@ -10,10 +10,10 @@ import numpy as np
 
 from koala3d.calib.arrays import Mask
 from koala3d.calib.handeye import model, refine, uncertainty
-from koala3d.calib.handeye.model import Accuracy, Session, State
+from koala3d.calib.handeye.model import Accuracy, Measurements, State
 from koala3d.calib.handeye.refine import Refined
 from koala3d.calib.intrinsics.estimate import MIN_TOTAL_CORNERS, check_enough
-from koala3d.calib.intrinsics.known import Known
+from koala3d.calib.intrinsics.prior import IntrinsicsPrior
 from koala3d.calib.intrinsics.projection import PLAIN, Form
 from koala3d.calib.sessions.session import TargetSession
 
@@ -27,7 +27,7 @@ class Fit:
     """A refinement and its input."""
 
     session: TargetSession
-    measured: Session
+    measured: Measurements
     refined: Refined
     left_out: dict[str, str]
 
@@ -36,7 +36,7 @@ def refine_without(
     session: TargetSession,
     start: State,
     free: tuple[str, ...],
-    known: Known | None,
+    known: IntrinsicsPrior | None,
     accuracy: Accuracy,
     *,
     sigma_px: float,

@@ -19,7 +19,7 @@ import numpy as np
 
 from koala3d.calib.arrays import Array, Indices, Mask
 from koala3d.calib.errors import CalibrationError
-from koala3d.calib.handeye.model import Accuracy, Session, State, perturbed, predict
+from koala3d.calib.handeye.model import Accuracy, Measurements, State, perturbed, predict
 from koala3d.calib.solver.elimination import Eliminated, eliminate
 from koala3d.calib.solver.levenberg_marquardt import Limits, minimise
 
@@ -44,7 +44,7 @@ S = TypeVar("S", bound=Unknowns)
 
 
 class Problem(Protocol[S]):
-    """What is refined: a `Session` with a `State`, or several cameras or targets (`calib.together.model`)."""
+    """What is refined: `Measurements` with a `State`, or several cameras or targets (`calib.together.model`)."""
 
     @property
     def view(self) -> Indices:
@@ -143,7 +143,7 @@ def refine(session: Problem[S], start: S, *, sigma_px: float, rounds: int = 12) 
     return Refined(point.state, sigmas, information, point.residuals, inliers, steps, settled)
 
 
-def with_corrections(session: Session, state: State, sigmas: Sigmas) -> Refined[State]:
+def with_corrections(session: Measurements, state: State, sigmas: Sigmas) -> Refined[State]:
     """What `state` says of a session: each view gets the most likely correction, and everything else stays as it is.
 
     Raises CalibrationError where the target comes to lie behind the camera.
@@ -169,7 +169,7 @@ def _look_gaussian(distances: Array) -> bool:
     return bool(distances.max(initial=0.0) <= np.sqrt(2 * np.log(max(len(distances), 1) / CHANCE)))
 
 
-def fit_board(session: Session, state: State, max_steps: int = 30) -> State:
+def fit_board(session: Measurements, state: State, max_steps: int = 30) -> State:
     """`state` with the pose of the board fitted to the corners, by Gauss-Newton with Huber's weights."""
     for _ in range(max_steps):
         pixels, by_global, _ = predict(session, state)

@@ -9,12 +9,16 @@ This is linear in `shape`. A twist of the plate, u v, is left out. Since the arm
 and the focal length does not absorb it. The same form of bending: mrcal (Kogan), "calobject_warp".
 """
 
-from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from koala3d.calib.arrays import Array
+from koala3d.datasets.residuals import Residuals
+
+if TYPE_CHECKING:
+    from koala3d.calib.handeye.model import Measurements
+    from koala3d.calib.handeye.refine import Refined
 
 NAMES = (
     "stretch of the target along x",
@@ -40,20 +44,24 @@ def by_shape(points: Array, extent: Array) -> Array:
     return found
 
 
-def facts(shape: Array, std: Array) -> dict[str, Any]:
-    """For the calibration file: `shape` (4,) with its standard deviations, [1] and [m]; 0 where it was not estimated."""
-    return {"target_shape": shape.tolist(), "target_shape_std": std.tolist()}
+def facts(measured: "Measurements", refined: "Refined", covariance: Array) -> dict[str, Any]:
+    """For the calibration file: the shape with its standard deviations, 0 where it was not estimated. Nothing if none was."""
+    if not measured.shaped:
+        return {}
+    std, before = np.zeros(4), len(measured.free) + len(measured.erring)
+    std[measured.shaped] = np.sqrt(np.diag(covariance))[before : before + len(measured.shaped)]
+    return {"target_shape": refined.state.shape.tolist(), "target_shape_std": std.tolist()}
 
 
-def known(residuals: Mapping[str, Any]) -> Array:
-    """(4,) `shape` from a calibration file; flat where it holds none."""
-    found = np.asarray(residuals.get("target_shape", FLAT), np.float64)
+def known(residuals: Residuals) -> Array:
+    """(4,) shape from a calibration file; flat if it holds none."""
+    found = np.asarray(residuals.target_shape or FLAT, np.float64)
     return found if found.shape == (4,) and np.isfinite(found).all() else FLAT
 
 
-def in_words(residuals: Mapping[str, Any]) -> str:
-    """One line of what was found; empty where nothing was estimated."""
-    std = np.asarray(residuals.get("target_shape_std", FLAT))
+def in_words(residuals: Residuals) -> str:
+    """One line of what was found; empty if nothing was estimated."""
+    std = np.asarray(residuals.target_shape_std or FLAT)
     shape, parts = known(residuals), []
     if std[:2].any():
         stretch = " and ".join(f"{100 * one:.3f} ± {100 * s:.3f} %" for one, s in zip(shape[:2], std[:2], strict=True))

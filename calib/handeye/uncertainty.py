@@ -10,7 +10,7 @@ import numpy as np
 from koala3d.calib.arrays import Array
 from koala3d.calib.errors import Unobservable
 from koala3d.calib.handeye import surface
-from koala3d.calib.handeye.model import Session
+from koala3d.calib.handeye.model import Measurements
 from koala3d.calib.handeye.refine import Refined
 from koala3d.calib.intrinsics import estimate, projection
 from koala3d.datasets import pose
@@ -49,7 +49,7 @@ def check_motion(base_from_flange: Array) -> None:
         raise Unobservable(what, why=why, remedy="add views that are tilted about a second axis by 20 degrees and more")
 
 
-def parameter_names(session: Session) -> list[str]:
+def parameter_names(session: Measurements) -> list[str]:
     """Names of the global parameters, with units, in the order of `Refined.information`."""
     axes = [f"{kind} {axis}" for kind in ("translation", "rotation") for axis in "xyz"]
     of_links = [session.links.parameters[one] for one in session.erring]
@@ -57,7 +57,7 @@ def parameter_names(session: Session) -> list[str]:
     return [*session.free, *of_links, *shape, *(f"{p} {a}" for p in session.pose_names for a in axes)]
 
 
-def covariance(session: Session, refined: Refined, allow_m: float = MAX_STD_M) -> Array:
+def covariance(session: Measurements, refined: Refined, allow_m: float = MAX_STD_M) -> Array:
     """(p, p) covariance of the global parameters. Raises Unobservable, naming the worst one, where they are undetermined.
 
     `allow_m` is the largest standard deviation of a position that is not refused; that of a rotation grows with it.
@@ -71,13 +71,13 @@ def covariance(session: Session, refined: Refined, allow_m: float = MAX_STD_M) -
     return checked(session, refined, (vectors / values) @ vectors.T / np.outer(scale, scale), allow_m)
 
 
-def poses(session: Session, refined: Refined, joint: Array) -> tuple[UncertainPose, UncertainPose]:
+def poses(session: Measurements, refined: Refined, joint: Array) -> tuple[UncertainPose, UncertainPose]:
     """(mount_from_camera, stand_from_board) with their (6, 6) covariances out of the `joint` (p, p) one."""
     state = refined.state
     return UncertainPose(state.mount_from_camera, joint[-12:-6, -12:-6]), UncertainPose(state.stand_from_board, joint[-6:, -6:])
 
 
-def _units(session: Session) -> Array:
+def _units(session: Measurements) -> Array:
     """(p,) errors that would matter: scales that make the parameters comparable."""
     of_camera = np.where(np.array(session.columns) < 4, 10.0, 0.1)
     of_links = np.repeat([MAX_STD_M, MAX_STD_RAD], 2 * session.links.count)[session.erring]
@@ -85,7 +85,7 @@ def _units(session: Session) -> Array:
     return np.concatenate([of_camera, of_links, of_shape, np.tile(np.repeat([MAX_STD_M, MAX_STD_RAD], 3), 2)])
 
 
-def checked(session: Session, refined: Refined, joint: Array, allow_m: float = MAX_STD_M) -> Array:
+def checked(session: Measurements, refined: Refined, joint: Array, allow_m: float = MAX_STD_M) -> Array:
     """`joint` (p, p) as given. Raises Unobservable where a pose or the focal length is too uncertain to be of use."""
     std, times = np.sqrt(np.diag(joint)), allow_m / MAX_STD_M
     for name in ("fx", "fy"):
@@ -104,6 +104,6 @@ def checked(session: Session, refined: Refined, joint: Array, allow_m: float = M
     return joint
 
 
-def _refuse(session: Session, parameter: int, why: str, more: str = "") -> None:
+def _refuse(session: Measurements, parameter: int, why: str, more: str = "") -> None:
     remedy = f"add views that are tilted by 20 degrees and more about two axes, at two distances{more}"
     raise Unobservable(f"{parameter_names(session)[parameter]} is not observable", why=why, remedy=remedy)

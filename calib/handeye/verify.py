@@ -9,7 +9,7 @@ import numpy as np
 from koala3d.calib.arrays import Array, Mask
 from koala3d.calib.errors import CalibrationError
 from koala3d.calib.handeye import closed_forms, model, surface
-from koala3d.calib.handeye.model import Accuracy, Session, State, camera_points, predict
+from koala3d.calib.handeye.model import Accuracy, Measurements, State, camera_points, predict
 from koala3d.calib.handeye.refine import Refined, fit_board, refine
 from koala3d.calib.intrinsics import estimate, projection
 from koala3d.calib.intrinsics.estimate import rms
@@ -70,7 +70,7 @@ def _with_links_corrected(session: TargetSession, calibration: Calibration) -> T
     return replace(session, base_from_flange=calibration.link_errors.corrected(session.base_from_flange, session.joints))
 
 
-def held_out(session: Session, refined: Refined) -> dict[str, float | None]:
+def held_out(session: Measurements, refined: Refined) -> dict[str, float | None]:
     """Error on held-out views, in up to five folds, of the corners that `refined` kept: `held_out_px`, `held_out_mm`; and of all
     corners: `held_out_all_px`, `held_out_all_mm`. None if a fold could not be fitted.
 
@@ -87,7 +87,7 @@ def held_out(session: Session, refined: Refined) -> dict[str, float | None]:
 
 
 def predicted(
-    session: Session, kept: Mask, fit: Callable[[Mask], State]
+    session: Measurements, kept: Mask, fit: Callable[[Mask], State]
 ) -> tuple[tuple[float | None, float | None], tuple[float | None, float | None]] | None:
     """Rms errors ([px], [mm]) of predicted corners: of those `kept` (n,), and of all. None if a fold cannot be fitted.
 
@@ -116,7 +116,7 @@ def check_size(session: TargetSession, camera: Camera) -> None:
         raise UsageError("calibration is for images of another size", where=where, why=why, remedy=remedy)
 
 
-def errors(session: Session, state: State) -> tuple[Array, Array]:
+def errors(session: Measurements, state: State) -> tuple[Array, Array]:
     """(n, 2) seen minus predicted [px], and the same at the corner's depth [mm]."""
     residuals = session.pixels - predict(session, state)[0]
     depth = camera_points(session, state)[:, 2:]

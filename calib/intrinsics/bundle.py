@@ -12,7 +12,7 @@ import numpy as np
 from koala3d.calib.arrays import Array, Indices
 from koala3d.calib.errors import CalibrationError
 from koala3d.calib.intrinsics import projection
-from koala3d.calib.intrinsics.known import Known
+from koala3d.calib.intrinsics.prior import IntrinsicsPrior
 from koala3d.calib.intrinsics.projection import PLAIN, Form
 from koala3d.calib.solver.elimination import Eliminated, eliminate
 from koala3d.calib.solver.geometry import by_motion, rotate
@@ -55,7 +55,7 @@ def fit(
     camera_from_board: Array,
     free: tuple[str, ...] = (),
     form: Form = PLAIN,
-    known: Known | None = None,
+    known: IntrinsicsPrior | None = None,
     sigma_px: float = 1.0,
 ) -> Bundle:
     """Minimise the distance of seen and predicted corners. Raises CalibrationError where a board starts behind the camera.
@@ -73,7 +73,12 @@ def fit(
 
 
 def linearised(
-    corners: Corners, camera: Camera, camera_from_board: Array, free: tuple[str, ...], known: Known | None, sigma_px: float
+    corners: Corners,
+    camera: Camera,
+    camera_from_board: Array,
+    free: tuple[str, ...],
+    known: IntrinsicsPrior | None,
+    sigma_px: float,
 ) -> Eliminated:
     """The linear problem about a camera and (views, 4, 4) poses, which are eliminated; arguments and errors as those of `fit`."""
     problem = _Problem(corners, free, projection.form(camera), known, sigma_px)
@@ -86,7 +91,7 @@ class _Problem(NamedTuple):
     corners: Corners
     free: tuple[str, ...]
     form: Form
-    known: Known | None
+    known: IntrinsicsPrior | None
     sigma_px: float
 
     def known_rows(self, intrinsics: Array) -> Array:

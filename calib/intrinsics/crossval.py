@@ -15,6 +15,7 @@ from koala3d.calib.intrinsics.over_image import Map
 from koala3d.calib.targets.detection import Observation
 from koala3d.datasets import pose
 from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.core.errors import UsageError
 
 
 def cross_validate(camera: Camera, lens: Lens, observations: Sequence[Observation], camera_from_board: Array) -> Map:
@@ -24,6 +25,15 @@ def cross_validate(camera: Camera, lens: Lens, observations: Sequence[Observatio
     """
     halves = [estimate.fit(observations[half::2], camera, camera_from_board[half::2], lens)[0] for half in (0, 1)]
     return difference(halves[0], halves[1])
+
+
+def compared(first: Camera, second: Camera, where: object) -> Map:
+    """`difference` from the camera of the file `where`. Raises UsageError if that is for images of another size."""
+    sizes = [f"{camera.width}x{camera.height}" for camera in (first, second)]
+    if sizes[0] != sizes[1]:
+        remedy = "compare two of one camera setting"
+        raise UsageError("is for images of another size", where=where, why=f"{sizes[1]}, not {sizes[0]}", remedy=remedy)
+    return difference(first, second)
 
 
 def difference(first: Camera, second: Camera, cells: int = 24) -> Map:

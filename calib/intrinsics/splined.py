@@ -14,7 +14,7 @@ import numpy as np
 from koala3d.calib.arrays import Array
 from koala3d.calib.errors import TargetError
 from koala3d.calib.intrinsics import bundle, over_image, projection
-from koala3d.calib.intrinsics.known import Known
+from koala3d.calib.intrinsics.prior import IntrinsicsPrior
 from koala3d.calib.solver.geometry import by_motion
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.spline import Grid, Spline
@@ -48,7 +48,7 @@ def with_grid(camera: Camera, grid: Grid | None) -> Camera:
     return replace(camera, spline=None if grid is None else Spline(grid, (0.0,) * (2 * grid.count)))
 
 
-def prior(camera: Camera, free: tuple[str, ...], pixels: Array) -> Known:
+def prior(camera: Camera, free: tuple[str, ...], pixels: Array) -> IntrinsicsPrior:
     """What is assumed of the knots of `camera`, if `free` intrinsics are estimated as well, from corners at (n, 2) `pixels`."""
     assert camera.spline is not None
     grid = camera.spline.grid
@@ -58,7 +58,7 @@ def prior(camera: Camera, free: tuple[str, ...], pixels: Array) -> Known:
     expressed = _expressed(camera, [name for name in free if not projection.is_knot(name)], pixels)
     precision = np.eye(2 * grid.count) + smooth + HELD**2 * expressed @ expressed.T
     covariance = np.asarray(std**2 * np.linalg.inv(precision), np.float64)
-    return Known(projection.knot_names(grid), np.zeros(2 * grid.count), covariance)
+    return IntrinsicsPrior(projection.knot_names(grid), np.zeros(2 * grid.count), covariance)
 
 
 def _second_differences(rows: int, columns: int, axis: int) -> Array:

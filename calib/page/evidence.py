@@ -39,7 +39,7 @@ class Sighting:
 
 
 @dataclass(frozen=True)
-class Evidence:
+class CalibrationEvidence:
     """A stored calibration and a recording, corner by corner: n corners of the views that the calibration was made from."""
 
     calibration: Calibration
@@ -97,9 +97,9 @@ def recording_of(calibration: Calibration, given: Path | None) -> Path:
 
 
 def left_out(calibration: Calibration) -> dict[str, str]:
-    """Views that were left out of a calibration, and why; older files state no reason."""
-    reasons = calibration.residuals.get("why_left_out", {})
-    return {name: reasons.get(name, "left out") for name in calibration.residuals.get("views_left_out", ())}
+    """Views that were left out of a calibration, and why."""
+    reasons = calibration.residuals.why_left_out
+    return {name: reasons.get(name, "left out") for name in calibration.residuals.views_left_out}
 
 
 def poses_of(calibration: Calibration, session: TargetSession) -> tuple[Array, Array]:
@@ -112,7 +112,7 @@ def poses_of(calibration: Calibration, session: TargetSession) -> tuple[Array, A
     return mount.matrix, stand.matrix
 
 
-def gather(calibration: Calibration, session: TargetSession) -> Evidence:
+def gather(calibration: Calibration, session: TargetSession) -> CalibrationEvidence:
     """Hold a stored calibration against a session.
 
     Raises UsageError for images of another size, CalibrationError where the recording does not fit the calibration at all.
@@ -137,12 +137,13 @@ def gather(calibration: Calibration, session: TargetSession) -> Evidence:
         refined = refine.with_corrections(measured, state, sigmas_of(calibration))
         plain = verify.errors(measured, replace(state, link_errors=0 * errors))[0]
         found = {CORRECTED: refined.residuals, REPORTED: plain}, refined.inliers, refined.state.corrections
-    return Evidence(calibration, session, boards, chosen, measured.view, measured.pixels, *found)
+    return CalibrationEvidence(calibration, session, boards, chosen, measured.view, measured.pixels, *found)
 
 
 def sigmas_of(calibration: Calibration) -> refine.Sigmas:
     """The standard deviations that a calibration has estimated; the usual ones where its file does not hold them."""
     usual, found = Accuracy(), calibration.residuals
-    translation_m = 1e-3 * found.get("arm_translation_mm", 1e3 * usual.translation_m)
-    rotation_rad = np.deg2rad(found.get("arm_rotation_deg", np.rad2deg(usual.rotation_rad)))
-    return refine.Sigmas(found.get("sigma_px", found.get("rms_px", 0.2) / np.sqrt(2)), translation_m, float(rotation_rad))
+    translation_m = usual.translation_m if found.arm_translation_mm is None else 1e-3 * found.arm_translation_mm
+    rotation_rad = usual.rotation_rad if found.arm_rotation_deg is None else float(np.deg2rad(found.arm_rotation_deg))
+    sigma_px = (0.2 if found.rms_px is None else found.rms_px) / np.sqrt(2) if found.sigma_px is None else found.sigma_px
+    return refine.Sigmas(sigma_px, translation_m, rotation_rad)

@@ -11,7 +11,7 @@ from matplotlib.patches import Ellipse
 from koala3d.calib.arrays import Array
 from koala3d.calib.handeye import verify
 from koala3d.calib.intrinsics.over_image import Map
-from koala3d.calib.page.evidence import Evidence
+from koala3d.calib.page.evidence import CalibrationEvidence
 from koala3d.datasets import pose
 from koala3d.datasets.calibration import UncertainPose
 from koala3d.datasets.camera_model import Camera
@@ -40,7 +40,7 @@ def _over_image(camera: Camera, title: str) -> tuple[Figure, Any]:
     return figure, axes
 
 
-def residual_vectors(evidence: Evidence, kind: str) -> bytes:
+def residual_vectors(evidence: CalibrationEvidence, kind: str) -> bytes:
     """Every corner's residual where it was seen, enlarged; outliers in red."""
     good, camera = evidence.inliers, evidence.calibration.camera
     residuals, outliers = evidence.residuals[kind][good], int((~good).sum())
@@ -55,7 +55,7 @@ def residual_vectors(evidence: Evidence, kind: str) -> bytes:
     return _png(figure)
 
 
-def view_errors(evidence: Evidence) -> bytes:
+def view_errors(evidence: CalibrationEvidence) -> bytes:
     """Residual of each view and, where there is an arm, the correction of its report."""
     names = [o.name for o in evidence.session.observations]
     own = [evidence.inliers & (evidence.view == i) for i in range(len(names))]
@@ -74,7 +74,7 @@ def view_errors(evidence: Evidence) -> bytes:
     return _png(figure)
 
 
-def coverage(evidence: Evidence) -> bytes:
+def coverage(evidence: CalibrationEvidence) -> bytes:
     """Where in the image corners were seen, and the tilt and roll of the board in each view."""
     camera, session = evidence.calibration.camera, evidence.session
     pixels = np.concatenate([o.pixels for o in session.observations])
@@ -97,9 +97,7 @@ def coverage(evidence: Evidence) -> bytes:
 
 def ellipses(title: str, value: UncertainPose) -> bytes:
     """95 % confidence ellipses of position and of rotation in the three planes."""
-    x, y, z = value.matrix[:3, 3]
-    of_origin = np.hstack([np.eye(3), [[0, z, -y], [-z, 0, x], [y, -x, 0]]])
-    parts = (("mm", 1e6 * of_origin @ value.covariance @ of_origin.T), ("°", np.rad2deg(1) ** 2 * value.covariance[3:, 3:]))
+    parts = (("mm", 1e6 * value.origin_covariance), ("°", np.rad2deg(1) ** 2 * value.covariance[3:, 3:]))
     figure = _figure(9, 6)
     grid = figure.subplots(2, 3)
     for row, (unit, covariance) in zip(grid, parts, strict=True):
@@ -121,7 +119,7 @@ def _ellipse(axes: Any, covariance: Array) -> None:
     axes.add_patch(Ellipse((0, 0), width, height, angle=angle, facecolor="tab:blue", alpha=0.3, edgecolor="tab:blue"))
 
 
-def difference_map(difference: Map, evidence: Evidence) -> bytes:
+def difference_map(difference: Map, evidence: CalibrationEvidence) -> bytes:
     """Where cameras from two halves of the session disagree."""
     title = f"cameras of two halves of the views, {difference.rms_px:.3f} px rms; white: corners"
     figure, axes = _mapped(evidence.calibration.camera, title, difference, "difference [px]")
@@ -149,7 +147,7 @@ def _mapped(camera: Camera, title: str, values: Map, label: str, norm: str | Non
     return figure, axes
 
 
-def rotations(evidence: Evidence) -> bytes:
+def rotations(evidence: CalibrationEvidence) -> bytes:
     """Rotation vectors of the flange between any two views: hand-eye calibration needs them to differ in direction."""
     flange = evidence.session.base_from_flange
     first, second = np.triu_indices(len(flange), 1)

@@ -11,7 +11,7 @@ from koala3d.datasets.core import console
 def finish(calibration: Calibration, out: Path, json: bool) -> None:
     """Write a calibration and print it, as text or as one JSON object."""
     calibration.save(out)
-    facts = {name: getattr(calibration, name) for name in ("camera_std", "residuals")}
+    facts = {"camera_std": calibration.camera_std, "residuals": calibration.residuals.to_json()}
     result: dict[str, Any] = {"out": str(out), "camera": calibration.camera.to_json(), **facts, "notes": notes(calibration)}
     for name, value in calibration.poses.items():
         std = {"translation_std_mm": value.translation_std_mm, "rotation_std_deg": value.rotation_std_deg}

@@ -22,7 +22,7 @@ def projection_uncertainty(calibration: Calibration, distance_m: float) -> Map:
     not matter.
 
     Raises:
-        UsageError: nothing was estimated, or the file is of a version that does not keep all correlations.
+        UsageError: nothing was estimated, or the file keeps no correlations.
     """
     camera = calibration.camera
     down = max(round(COLUMNS * camera.height / camera.width), 1)
@@ -48,19 +48,19 @@ def projection_uncertainty(calibration: Calibration, distance_m: float) -> Map:
 
 def _covariance(calibration: Calibration, mount: UncertainPose | None) -> tuple[list[str], Array]:
     """Names of the estimated intrinsics and, with a hand-eye pose, of its six errors; and their covariance."""
-    kept = calibration.residuals.get("camera_correlation" if mount is None else "rig_correlation")
+    kept = calibration.residuals.camera_correlation if mount is None else calibration.residuals.rig_correlation
     if not calibration.camera_std and mount is None:
         raise UsageError("calibration keeps no uncertainty", why="its camera was given", remedy="estimate it from a recording")
     if kept is None:
         remedy = "make it again with 'calib handeye' or 'calib intrinsics'"
-        raise UsageError("calibration does not keep how its errors are correlated", why="an older version made it", remedy=remedy)
+        raise UsageError("calibration does not keep how its errors are correlated", remedy=remedy)
     stds = dict(calibration.camera_std)
     if mount is not None:
         title = next(name for name, value in calibration.poses.items() if value is mount)
         deviations = map(float, np.sqrt(np.diag(mount.covariance)))
         stds |= dict(zip((f"{title} {axis}" for axis in AXES), deviations, strict=True))
-    names = [name for name in kept["names"] if name in stds]
-    chosen, std = [kept["names"].index(name) for name in names], np.array([stds[name] for name in names])
-    values, vectors = np.linalg.eigh(np.asarray(kept["matrix"], np.float64)[np.ix_(chosen, chosen)])
+    names = [name for name in kept.names if name in stds]
+    std = np.array([stds[name] for name in names])
+    values, vectors = np.linalg.eigh(kept.among(tuple(names)))
     among = (vectors * np.maximum(values, 0.0)) @ vectors.T  # rounded in the file: kept from becoming negative
     return names, np.asarray(among * np.outer(std, std), np.float64)

@@ -1,16 +1,18 @@
 """A stored calibration as one HTML page that needs nothing else: numbers with their uncertainty, figures, views left out."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
 from koala3d.calib.errors import CalibrationError
 from koala3d.calib.intrinsics import crossval, estimate, lenses, projection, splined
-from koala3d.calib.page import figures
-from koala3d.calib.page.evidence import Evidence
+from koala3d.calib.intrinsics.over_image import Map
+from koala3d.calib.page import figures, maps
+from koala3d.calib.page.evidence import CalibrationEvidence
 from koala3d.calib.page.summary import RELAXED, notes
 from koala3d.datasets import pose
 from koala3d.datasets.calibration import Calibration, LinkErrors, UncertainPose
+from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.reports.html import Number, ReportPage
 
 CENTRE = {"fx": "focal length", "fy": "focal length", "cx": "principal point", "cy": "principal point"}
@@ -26,18 +28,28 @@ MEANINGS = {
 """Of the numbers at the head of the page."""
 
 
-def page(evidence: Evidence, *, made_by: str = "") -> ReportPage:
-    """The page; `made_by` is the command."""
+def page(
+    evidence: CalibrationEvidence, *, made_by: str = "", distance_m: float = 0.5, others: Mapping[str, Map] | None = None
+) -> ReportPage:
+    """The page.
+
+    Args:
+        evidence: the calibration and its recording.
+        made_by: the command.
+        distance_m: of the points whose certainty is shown from the camera.
+        others: how far other calibrations' cameras differ over the image, by their names.
+    """
     calibration, residuals = evidence.calibration, evidence.calibration.residuals
     report = ReportPage("Calibration", made_by=[made_by] if made_by else [])
     units = {name: "px" if name.endswith("_px") else "mm" if name.endswith("_mm") else "°" for name in MEANINGS}
-    known = {name: Number(residuals[name], units[name]) for name in MEANINGS if residuals.get(name) is not None}
+    values = {name: getattr(residuals, name) for name in MEANINGS}
+    known = {name: Number(value, units[name]) for name, value in values.items() if value is not None}
     headings = {"held_out_px": "on unseen views", "held_out_mm": "the same at the target", "rms_px": "residual"}
-    views = f"{residuals['views_used']} views, {residuals['corners']} corners in {residuals['coverage']:.0%} of the image"
+    views = f"{residuals.views_used} views, {residuals.corners} corners in {residuals.coverage:.0%} of the image"
     report.headline([(words, known[name]) for name, words in headings.items() if name in known], views)
     report.section("Result")
     for name, value in calibration.poses.items():
-        _pose(report, name + (RELAXED if "allowed_mm" in residuals else ""), value)
+        _pose(report, name + (RELAXED if residuals.allowed_mm else ""), value)
     _camera(report, calibration)
     report.heading("residuals")
     report.numbers((name.rsplit("_", 1)[0].replace("_", " "), value, MEANINGS[name]) for name, value in known.items())
@@ -52,8 +64,28 @@ def page(evidence: Evidence, *, made_by: str = "") -> ReportPage:
     for name, value in calibration.poses.items():
         report.section(f"Uncertainty of {name}")
         report.picture(figures.ellipses(name, value), f"Uncertainty of {name}")
+    _certainty(report, calibration, distance_m)
     _cross_validation(report, evidence)
+    for name, found in (others or {}).items():
+        title = f"Difference from {name}"
+        report.section(title, "The rotation that brings both cameras closest is left out: it looks like another principal point.")
+        words = f"{name} differs by {found.rms_px:.3f} px rms"
+        report.picture(figures.map_over_image(calibration.camera, words, found, "difference [px]"), title)
     return report
+
+
+def _certainty(report: ReportPage, calibration: Calibration, distance_m: float) -> None:
+    """The map of how certain it is where a point is seen; a sentence where the file does not say."""
+    title = "Certainty over the image"
+    report.section(title, "Trust the calibration where the deviation is small: no target was seen where it is large.")
+    try:
+        found = maps.projection_uncertainty(calibration, distance_m)
+    except UsageError as error:
+        return report.paragraph(str(error))
+    of_rig = (calibration.flange_from_camera or calibration.base_from_camera) is not None
+    what = f"points at {distance_m:g} m" if of_rig else "directions, up to a rotation of the camera"
+    words = f"standard deviation of {what}: {found.rms_px:.3f} px rms"
+    report.picture(figures.map_over_image(calibration.camera, words, found, "standard deviation [px]"), title)
 
 
 def _pose(report: ReportPage, name: str, value: UncertainPose) -> None:
@@ -92,7 +124,7 @@ def _link_rows(found: LinkErrors) -> Iterator[tuple[str, Number, str]]:
             yield name, Number(float(error), str(unit), float(std)), ""
 
 
-def _figures(report: ReportPage, evidence: Evidence) -> None:
+def _figures(report: ReportPage, evidence: CalibrationEvidence) -> None:
     def add(title: str, words: str, png: bytes) -> None:
         report.section(title, words)
         report.picture(png, title)
@@ -108,7 +140,7 @@ def _figures(report: ReportPage, evidence: Evidence) -> None:
         add("Rotations", words, figures.rotations(evidence))
 
 
-def _cross_validation(report: ReportPage, evidence: Evidence) -> None:
+def _cross_validation(report: ReportPage, evidence: CalibrationEvidence) -> None:
     """The map of differences between two halves of the views; a sentence where a half is not enough."""
     title, calibration = "Two halves of the views", evidence.calibration
     report.section(title, "Do not trust the calibration where cameras from two halves of the views disagree.")

@@ -22,7 +22,7 @@ _DIGITS = {"fx": 2, "fy": 2, "cx": 2, "cy": 2}
 def describe_calibration(calibration: Calibration) -> str:
     """Several lines: poses with standard deviations, intrinsics, residuals, notes."""
     lines = []
-    mark = RELAXED if "allowed_mm" in calibration.residuals else ""
+    mark = RELAXED if calibration.residuals.allowed_mm else ""
     for title, value in calibration.poses.items():
         lines += _pose_lines(f"{title}{mark}", value)
     camera, residuals = calibration.camera, calibration.residuals
@@ -39,22 +39,22 @@ def describe_calibration(calibration: Calibration) -> str:
         lines.append(f"  {name:<17} {getattr(camera, name):.{digits}f} ± {std:.{digits}f}{unit}")
     if knots := splined.in_words(camera):
         lines.append(f"  {'spline':<17} {knots}")
-    lines += _board_lines(residuals.get("boards", ()))
-    lines.append(f"residual            {residuals['rms_px']:.3f} px rms over {residuals['corners']} corners")
-    if residuals.get("held_out_px") is not None:
-        millimetres = f" = {residuals['held_out_mm']:.3f} mm at the target" if residuals.get("held_out_mm") is not None else ""
-        lines.append(f"on unseen views     {residuals['held_out_px']:.3f} px{millimetres}")
-    if residuals.get("corners_left_out") and residuals.get("held_out_all_px") is not None:
-        every = f"{residuals['held_out_all_px']:.3f} px = {residuals['held_out_all_mm']:.3f} mm"
-        lines.append(f"  with every corner {every}, the {residuals['corners_left_out']} that were left out included")
-    if "arm_translation_mm" in residuals:
-        millimetres, degrees = residuals["arm_translation_mm"], residuals["arm_rotation_deg"]
+    lines += _board_lines(residuals.boards or ())
+    lines.append(f"residual            {residuals.rms_px:.3f} px rms over {residuals.corners} corners")
+    if residuals.held_out_px is not None:
+        millimetres = f" = {residuals.held_out_mm:.3f} mm at the target" if residuals.held_out_mm is not None else ""
+        lines.append(f"on unseen views     {residuals.held_out_px:.3f} px{millimetres}")
+    if residuals.corners_left_out and residuals.held_out_all_px is not None:
+        every = f"{residuals.held_out_all_px:.3f} px = {residuals.held_out_all_mm:.3f} mm"
+        lines.append(f"  with every corner {every}, the {residuals.corners_left_out} that were left out included")
+    if residuals.arm_translation_mm is not None:
+        millimetres, degrees = residuals.arm_translation_mm, residuals.arm_rotation_deg
         lines.append(f"arm errors          {millimetres:.3f} mm, {degrees:.4f} deg per axis")
-    if residuals.get("arm_links_mm", 0.0) > REPEATS_MM:
-        stop = f"{residuals['arm_stop_mm']:.3f} mm, {residuals['arm_stop_deg']:.4f} deg"
-        of_links = f"{residuals['arm_links_mm']:.2f} mm, {residuals['arm_links_deg']:.3f} deg"
+    if (residuals.arm_links_mm or 0.0) > REPEATS_MM:
+        stop = f"{residuals.arm_stop_mm:.3f} mm, {residuals.arm_stop_deg:.4f} deg"
+        of_links = f"{residuals.arm_links_mm:.2f} mm, {residuals.arm_links_deg:.3f} deg"
         lines.append(f"  of these          {stop} at each stop; the rest repeats, like links that are off by {of_links}")
-    lines.append(f"views used          {residuals['views_used']}, corners in {residuals['coverage']:.0%} of the image")
+    lines.append(f"views used          {residuals.views_used}, corners in {residuals.coverage:.0%} of the image")
     lines += [f"note: {note}" for note in notes(calibration)]
     return "\n".join(lines)
 
@@ -74,33 +74,33 @@ def _board_lines(boards: Sequence[dict[str, Any]]) -> list[str]:
 def notes(calibration: Calibration) -> list[str]:
     """What a user should know before using the calibration, one sentence each."""
     residuals, found = calibration.residuals, []
-    if allowed := residuals.get("allowed_mm"):
+    if allowed := residuals.allowed_mm:
         worst = max(float(value.translation_std_mm.max()) for value in calibration.poses.values())
         usual = 1e3 * MAX_STD_M
         state = f"{worst:.2g} mm is above it" if worst > usual else "it would have been kept"
         found.append(f"the bound on uncertain poses was relaxed from {usual:g} to {allowed:g} mm by --allow-mm; {state}")
-    if seems := residuals.get("target_seems"):
+    if seems := residuals.target_seems:
         stretch, sag = 100 * np.abs(seems[:2]).max(), 1e3 * np.abs(seems[2:]).max()
         seen = f"the corners fit a target that is stretched by {stretch:.2g} % and bent by {sag:.2g} mm"
         found.append(f"{seen}; --print-percent 0.5 --sag-mm 2 estimates that")
-    if residuals.get("views_unseen"):
-        found.append(f"no target was found in view {', '.join(residuals['views_unseen'])}")
-    reasons = residuals.get("why_left_out", {})
-    for name in residuals.get("views_left_out", ()):
+    if residuals.views_unseen:
+        found.append(f"no target was found in view {', '.join(residuals.views_unseen)}")
+    reasons = residuals.why_left_out
+    for name in residuals.views_left_out:
         found.append(f"view {name} is left out: {reasons.get(name, 'arm and picture disagree')}")
-    if not residuals.get("settled", True):
+    if residuals.settled is False:
         found.append("the refinement did not converge; look for views that do not fit")
-    if residuals.get("coverage", 1.0) < 0.4:
+    if residuals.coverage is not None and residuals.coverage < 0.4:
         found.append("corners cover little of the image; distortion is not known elsewhere")
-    if residuals.get("links_not_shown"):
-        found.append(f"the views do not determine {', '.join(residuals['links_not_shown'])}")
-    without = residuals.get("held_out_px_without_link_errors")
-    if without is not None and residuals.get("held_out_px") is not None and not residuals["held_out_px"] < 0.98 * without:
+    if residuals.links_not_shown:
+        found.append(f"the views do not determine {', '.join(residuals.links_not_shown)}")
+    without = residuals.held_out_px_without_link_errors
+    if without is not None and residuals.held_out_px is not None and not residuals.held_out_px < 0.98 * without:
         found.append(
             f"errors of the links do not help on unseen views ({without:.3f} px without them): omit --joint-deg and --link-mm"
         )
     stated = calibration.provenance.get("arm_accuracy_stated", {}).get("translation_mm")
-    if stated and (times := residuals["arm_translation_mm"] / stated) > 3:
+    if stated and (times := residuals.arm_translation_mm / stated) > 3:
         advice = "check settling, time stamps and the arm's own calibration"
         found.append(f"the arm is {times:.0f} times less accurate than stated ({stated:g} mm): {advice}")
     return found

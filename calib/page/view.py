@@ -15,7 +15,7 @@ from koala3d.calib.arrays import Array
 from koala3d.calib.errors import CalibrationError
 from koala3d.calib.handeye import verify
 from koala3d.calib.page import figures
-from koala3d.calib.page.evidence import CORRECTED, Evidence, Sighting, gather, recording_of
+from koala3d.calib.page.evidence import CORRECTED, CalibrationEvidence, Sighting, gather, recording_of
 from koala3d.calib.page.summary import describe_calibration
 from koala3d.calib.sessions.importer import observe_folder
 from koala3d.calib.targets.detection import read_board
@@ -41,7 +41,7 @@ class CalibrationView:
         self.page, self.calibration = page, calibration
         self.beside = calibration.base_from_camera is not None
         """Whether the camera stands beside the arm."""
-        self.evidence: Evidence | None = None
+        self.evidence: CalibrationEvidence | None = None
         self.sightings: list[Sighting] = []
         self._state = page.gui.add_markdown("*reading the recording*")
         self._kind: viser.GuiDropdownHandle[Any] = page.gui.add_dropdown("residuals", (CORRECTED,))
@@ -165,7 +165,7 @@ def in_markdown(words: str) -> str:
     return "\n".join(shown)
 
 
-def overall(evidence: Evidence, kind: str) -> float:
+def overall(evidence: CalibrationEvidence, kind: str) -> float:
     """Root mean square residual of one kind over all views [px]."""
     return verify.rms(evidence.residuals[kind][evidence.inliers]) if evidence.inliers.any() else float("nan")
 

@@ -137,7 +137,7 @@ def _imported(folder: Path, description: Path | None) -> Description | None:
         return load_description(description)
     if folder.is_dir() and not (folder / MANIFEST).is_file():
         own = folder / DESCRIPTION
-        remedy = "describe images and poses in a file, see docs/calibration.md, and give it as --import"
+        remedy = "describe images and poses in a file, see docs/calibration_import.md, and give it as --import"
         remedy = f"to import it as its own description says, give --import {own}" if own.is_file() else remedy
         raise UsageError("is not a recording", where=folder, why=f"it has no {MANIFEST}", remedy=remedy)
     return None

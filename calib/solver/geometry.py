@@ -11,21 +11,6 @@ def rotate(rotations: Array, points: Array) -> Array:
     return np.einsum("nij,nj->ni", rotations, points)
 
 
-def rms_difference(a_from_b: Array, others: Array) -> tuple[float, float]:
-    """Root mean square difference of two (..., 4, 4) poses or stacks of them: translation [mm], rotation [deg]."""
-    distance, angle = pose.difference(a_from_b, others)
-    return 1e3 * float(np.sqrt(np.mean(distance**2))), float(np.rad2deg(np.sqrt(np.mean(angle**2))))
-
-
-def cross(vectors: Array) -> Array:
-    """(n, 3, 3) matrices of the cross product with (n, 3) vectors."""
-    matrices = np.zeros((len(vectors), 3, 3))
-    x, y, z = vectors.T
-    matrices[:, 0, 1], matrices[:, 0, 2], matrices[:, 1, 2] = -z, y, -x
-    matrices[:, 1, 0], matrices[:, 2, 0], matrices[:, 2, 1] = z, -y, x
-    return matrices
-
-
 def rows_cross(rows: Array, points: Array) -> Array:
     """(n, 2, 3) rows @ cross(points), for (n, 2, 3) rows and (n, 3) points."""
     x, y, z = (points[:, None, axis] for axis in range(3))
@@ -43,7 +28,7 @@ def exponential(vectors: Array) -> tuple[Array, Array]:
     angle2 = np.sum(vectors**2, -1)[:, None, None]
     safe = np.where(angle2 > 1e-8, angle2, 1.0)
     angle = np.sqrt(safe)
-    skew = cross(vectors)
+    skew = pose.cross(vectors)
     sine = np.where(angle2 > 1e-8, np.sin(angle) / angle, 1 - angle2 / 6)
     cosine = np.where(angle2 > 1e-8, (1 - np.cos(angle)) / safe, 0.5 - angle2 / 24)
     cubic = np.where(angle2 > 1e-8, (angle - np.sin(angle)) / (safe * angle), 1 / 6 - angle2 / 120)

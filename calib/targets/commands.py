@@ -24,7 +24,8 @@ def board_named(path: Path) -> "Board":
 def board(
     out: Annotated[Path, Option("--out", help="File to write: .pdf or .svg.")],
     shipped: Annotated[
-        Path | None, Option("--board", help="A target of 'capture list', or a file of one; the options below then do not count.")
+        Path | None,
+        Option("--board", help="Target to print: a name from 'capture list', or a file. The options below then have no effect."),
     ] = None,
     kind: Annotated[
         str, Option("--kind", help="charuco, chessboard, tags, aprilgrid, circles or asymmetric_circles.")

@@ -19,7 +19,7 @@ from koala3d.datasets.targets.pattern import dictionary_of
 
 MIN_CORNERS = 8  # a view of a checkered target with fewer corners is left out; of tags, one whole tag will do
 _SUBPIXEL = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 60, 1e-4)
-Found = tuple[Indices, NDArray[np.float32]] | None
+Detected = tuple[Indices, NDArray[np.float32]] | None
 """(n,) corner numbers and (n, 2) places in OpenCV's pixel coordinates; None: no target."""
 
 
@@ -92,7 +92,7 @@ def detect(board: Board, grey: NDArray[np.float32], name: str) -> Observation | 
     return Observation(name, ids[good], conventions.pixels_from_opencv(exact[good]), points[good])
 
 
-def _charuco_corners(board: Board, picture: NDArray[np.uint8]) -> Found:
+def _charuco_corners(board: Board, picture: NDArray[np.uint8]) -> Detected:
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
     size, lengths = (board.squares_x, board.squares_y), (board.square_length_m, board.marker_length_m)
@@ -105,7 +105,7 @@ def _charuco_corners(board: Board, picture: NDArray[np.uint8]) -> Found:
     return ids.reshape(-1).astype(np.int64), places.reshape(-1, 2).astype(np.float32)
 
 
-def _chessboard_corners(board: Board, picture: NDArray[np.uint8]) -> Found:
+def _chessboard_corners(board: Board, picture: NDArray[np.uint8]) -> Detected:
     columns, rows = board.squares_x - 1, board.squares_y - 1
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
     found, places = cv2.findChessboardCorners(picture, (columns, rows), flags=flags)

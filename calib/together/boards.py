@@ -20,10 +20,10 @@ from koala3d.calib.handeye.refine import Refined
 from koala3d.calib.handeye.surface import FLAT
 from koala3d.calib.intrinsics import estimate, projection
 from koala3d.calib.intrinsics.estimate import rms
-from koala3d.calib.intrinsics.known import Known
+from koala3d.calib.intrinsics.prior import IntrinsicsPrior
 from koala3d.calib.sessions.session import TargetSession
 from koala3d.calib.together import joining
-from koala3d.calib.together.model import Together, TogetherState
+from koala3d.calib.together.model import JointMeasurements, JointState
 from koala3d.datasets.calibration import Calibration, UncertainPose
 from koala3d.datasets.core.errors import UsageError
 
@@ -74,11 +74,19 @@ def calibrate_boards(
     boards = _boards(problem, refined, arm.covariance)
     number = next(number for number, solution in enumerate(solutions) if solution is best)
     of_best = joining.calibration_of(problem, refined, arm, best, number, accuracy, allow_m)
-    calibration = _with_all(of_best, sessions, refined)
-    calibration.residuals["boards"] = _facts(names, solutions, problem, refined, boards)
-    calibration.residuals.update(_held_out(problem, refined))
-    calibration.residuals["coverage"] = estimate.coverage(pooled.observations, pooled.width, pooled.height)
-    return Boards(calibration, boards, tuple(mounts))
+    residuals = replace(
+        of_best.residuals,
+        rms_px=refined.rms_px,
+        views_used=len(refined.state.corrections),
+        corners=int(refined.inliers.sum()),
+        corners_left_out=int((~refined.inliers).sum()),
+        boards=_facts(names, solutions, problem, refined, boards),
+        coverage=estimate.coverage(pooled.observations, pooled.width, pooled.height),
+        **_held_out(problem, refined),
+    )
+    hashes = [session.provenance.get("frames_sha256") for session in sessions]
+    provenance = {**of_best.provenance, "method": "hand-eye, several targets", "together_sha256": hashes}
+    return Boards(replace(of_best, residuals=residuals, provenance=provenance), boards, tuple(mounts))
 
 
 def _check_alike(sessions: Sequence[TargetSession], names: Sequence[str]) -> None:
@@ -143,40 +151,27 @@ def _placed(session: TargetSession, best: Solution, camera: Calibration, accurac
 
 
 def _joined(
-    solutions: Sequence[Solution], best: Solution, recordings: Sequence[object], known: Known | None
-) -> tuple[Together, TogetherState]:
+    solutions: Sequence[Solution], best: Solution, recordings: Sequence[object], known: IntrinsicsPrior | None
+) -> tuple[JointMeasurements, JointState]:
     """The problem and where its refinement begins. `known` is what is assumed of the lens."""
     fits, start = [solution.fit for solution in solutions], best.fit.refined.state
     stops = joining.stops([fit.session for fit in fits], recordings)
     measured = tuple(replace(fit.measured, known=known) for fit in fits)
-    problem = Together(measured, (0,) * len(fits), tuple(range(len(fits))), stops, (1.0,))
+    problem = JointMeasurements(measured, (0,) * len(fits), tuple(range(len(fits))), stops, (1.0,))
     states = [fit.refined.state for fit in fits]
     corrections = np.zeros((1 + max(int(one.max()) for one in stops), 6))
     boards, shapes = tuple(state.stand_from_board for state in states), tuple(state.shape for state in states)
-    return problem, TogetherState((start.intrinsics,), (start.mount_from_camera,), boards, shapes, corrections, start.link_errors)
+    return problem, JointState((start.intrinsics,), (start.mount_from_camera,), boards, shapes, corrections, start.link_errors)
 
 
-def _boards(problem: Together, refined: Refined[TogetherState], covariance: Array) -> tuple[UncertainPose, ...]:
+def _boards(problem: JointMeasurements, refined: Refined[JointState], covariance: Array) -> tuple[UncertainPose, ...]:
     """Pose of each target."""
     columns = [problem.columns_of(number)[-6:] for number in range(len(problem.sessions))]
     pairs = zip(refined.state.stand_from_board, columns, strict=True)
     return tuple(UncertainPose(board, covariance[np.ix_(own, own)]) for board, own in pairs)
 
 
-def _with_all(calibration: Calibration, sessions: Sequence[TargetSession], refined: Refined[TogetherState]) -> Calibration:
-    """`calibration` with the figures of all sessions instead of one's."""
-    counts = {
-        "rms_px": refined.rms_px,
-        "views_used": len(refined.state.corrections),
-        "corners": int(refined.inliers.sum()),
-        "corners_left_out": int((~refined.inliers).sum()),
-    }
-    hashes = [session.provenance.get("frames_sha256") for session in sessions]
-    provenance = {**calibration.provenance, "method": "hand-eye, several targets", "together_sha256": hashes}
-    return replace(calibration, residuals={**calibration.residuals, **counts}, provenance=provenance)
-
-
-def _held_out(problem: Together, refined: Refined[TogetherState]) -> dict[str, float | None]:
+def _held_out(problem: JointMeasurements, refined: Refined[JointState]) -> dict[str, float | None]:
     """Error on views whose stops the fit has not seen, over all sessions; keys are those of `verify.held_out`."""
     start = replace(refined.state, corrections=np.zeros_like(refined.state.corrections))
     squares, corners = np.zeros((2, 2)), np.zeros((2, 1))
@@ -199,8 +194,8 @@ def _held_out(problem: Together, refined: Refined[TogetherState]) -> dict[str, f
 def _facts(
     names: Sequence[str],
     solutions: Sequence[Solution],
-    problem: Together,
-    refined: Refined[TogetherState],
+    problem: JointMeasurements,
+    refined: Refined[JointState],
     boards: Sequence[UncertainPose],
 ) -> list[dict[str, Any]]:
     """For the calibration file: each session's target, its pose, views, corners, rms [px], and views that were left out."""

@@ -15,7 +15,7 @@ from koala3d.calib.handeye import refine, repeating, uncertainty
 from koala3d.calib.handeye.model import Accuracy
 from koala3d.calib.sessions.session import TargetSession
 from koala3d.calib.together import joining
-from koala3d.calib.together.model import Together, TogetherState
+from koala3d.calib.together.model import JointMeasurements, JointState
 from koala3d.datasets import pose
 from koala3d.datasets.calibration import Calibration, UncertainPose
 from koala3d.datasets.core.errors import UsageError
@@ -77,18 +77,18 @@ def _check_alike(sessions: Sequence[TargetSession], names: Sequence[str]) -> Non
     joining.check_arm(sessions, names)
 
 
-def _joined(alone: Sequence[Solution], names: Sequence[str], same_stops: bool) -> tuple[Together, TogetherState]:
+def _joined(alone: Sequence[Solution], names: Sequence[str], same_stops: bool) -> tuple[JointMeasurements, JointState]:
     """The problem and where its refinement begins."""
     fits, sessions = [solution.fit for solution in alone], [solution.fit.session for solution in alone]
     noise = tuple(fit.refined.sigmas.pixel / fits[0].refined.sigmas.pixel for fit in fits)
     if same_stops:
         _check_stops(sessions, names)
     stops = joining.stops(sessions, [""] * len(fits) if same_stops else list(range(len(fits))))
-    problem = Together(tuple(fit.measured for fit in fits), tuple(range(len(fits))), (0,) * len(fits), stops, noise)
+    problem = JointMeasurements(tuple(fit.measured for fit in fits), tuple(range(len(fits))), (0,) * len(fits), stops, noise)
     states = [fit.refined.state for fit in fits]
     corrections = np.zeros((1 + max(int(one.max()) for one in stops), 6))
     first = states[0]
-    return problem, TogetherState(
+    return problem, JointState(
         tuple(state.intrinsics for state in states),
         tuple(state.mount_from_camera for state in states),
         (first.stand_from_board,),
@@ -114,7 +114,7 @@ def _check_stops(sessions: Sequence[TargetSession], names: Sequence[str]) -> Non
         raise UsageError("no view has a name in two sessions", where=names[1], remedy="leave out --same-stops")
 
 
-def _between(problem: Together, state: TogetherState, covariance: Array, camera: int) -> UncertainPose:
+def _between(problem: JointMeasurements, state: JointState, covariance: Array, camera: int) -> UncertainPose:
     """The pose of a camera in the first one's frame: what both mounts have in common drops out of its uncertainty."""
     first_from_mount = pose.inverse(state.mount_from_camera[0])
     of_first, of_camera = (problem.columns_of(one)[-12:-6] for one in (0, camera))
@@ -127,8 +127,8 @@ def _between(problem: Together, state: TogetherState, covariance: Array, camera:
 
 def _adjoint(a_from_b: Array) -> Array:
     """(6, 6) matrix that takes a small motion, translation first, from axes and origin of b to those of a."""
-    turn, (x, y, z) = a_from_b[:3, :3], a_from_b[:3, 3]
+    turn = a_from_b[:3, :3]
     found = np.zeros((6, 6))
     found[:3, :3] = found[3:, 3:] = turn
-    found[:3, 3:] = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ turn
+    found[:3, 3:] = pose.cross(a_from_b[:3, 3]) @ turn
     return found

@@ -1,4 +1,4 @@
-"""The commands that calibrate several sessions together: `calib cameras`, `calib boards`."""
+"""The command that calibrates several cameras together: `calib cameras`."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,12 +12,11 @@ from koala3d.calib.options import (
     Inexact,
     LeaveOut,
     Lens,
-    Rig,
+    RigOptions,
     allowed_m,
     check_lens,
     spread,
 )
-from koala3d.calib.targets.commands import board_named
 from koala3d.datasets.core import console
 
 if TYPE_CHECKING:
@@ -30,7 +29,7 @@ FORMAT, VERSION = "koala-cameras", 1
 @spread
 def cameras(
     recordings: Annotated[
-        list[Path], Argument(metavar="RECORDING...", help="Folders made by 'capture run', one for each camera; the first counts.")
+        list[Path], Argument(metavar="RECORDING", help="Folders made by 'capture run', one for each camera; the first counts.")
     ],
     arm: Arm,
     inexact: Inexact,
@@ -62,7 +61,7 @@ def cameras(
             "two recordings have the same name", why=", ".join(names), remedy="rename one: files are named after them"
         )
     options = {"description": description, "leave_out": leave_out, "lens": lens}
-    sessions = [Rig(recording=path, **options).read()[0] for path in recordings]
+    sessions = [RigOptions(recording=path, **options).read()[0] for path in recordings]
     found = calibrate_cameras(
         sessions, [str(path) for path in recordings], same_stops=same_stops, accuracy=accuracy, lens=lens, allow_m=allow_m
     )
@@ -72,47 +71,6 @@ def cameras(
             calibration.save(folder / f"{name}.json")
         files.write_json(folder / BETWEEN, {"format": FORMAT, "version": VERSION, **content})
     console.report({"out": str(out), **content}, as_json=json, text=f"{_text(found, names)}\nwritten to {out}")
-
-
-@spread
-def boards(
-    recordings: Annotated[
-        list[Path], Argument(metavar="RECORDING...", help="Folders made by 'capture run' with one camera, a target in each.")
-    ],
-    arm: Arm,
-    inexact: Inexact,
-    out: Annotated[Path, Option("--out", help="Calibration file to write (JSON).")],
-    targets: Annotated[
-        list[Path] | None,
-        Option("--board", help="Target to look for in every recording instead of its own: a shipped name or a file; repeatable."),
-    ] = None,
-    description: Import = None,
-    leave_out: LeaveOut = False,
-    lens: Lens = "auto",
-    allow_mm: AllowMm = 5.0,
-    json: console.Json = False,
-) -> None:
-    """Calibrate one camera by several targets, or by one target that stood in several places.
-
-    Camera and arm are the same for all, each target has a pose, a stretch and a sag of its own. Give several recordings, or
-    with --board several targets that are in the pictures of one.
-    """
-    from koala3d.calib.page.finish import finish
-    from koala3d.calib.targets.told_apart import check_told_apart
-    from koala3d.calib.together.boards import calibrate_boards
-    from koala3d.datasets.core import files
-
-    check_lens(lens)
-    accuracy, allow_m = arm.accuracy(inexact), allowed_m(allow_mm)
-    files.refuse_existing(out)
-    searched = [(path, board_named(path)) for path in targets or ()]
-    check_told_apart([board for _, board in searched], [path for path, _ in searched])
-    options = {"description": description, "leave_out": leave_out, "lens": lens}
-    pairs = [(recording, target) for recording in recordings for target in searched or [(None, None)]]
-    sessions = [Rig(recording=recording, **options).read(board)[0] for recording, (_, board) in pairs]
-    names = [f"{recording}" if target is None else f"{recording}, {target}" for recording, (target, _) in pairs]
-    where = [recording for recording, _ in pairs]
-    finish(calibrate_boards(sessions, names, where, accuracy=accuracy, lens=lens, allow_m=allow_m).calibration, out, json)
 
 
 def _content(found: "Cameras", names: list[str]) -> dict[str, Any]:
@@ -127,7 +85,7 @@ def _text(found: "Cameras", names: list[str]) -> str:
     for name, calibration in zip(names, found.calibrations, strict=True):
         (title, pose), *_ = calibration.poses.items()
         millimetres, degrees = pose.total_std
-        rms = calibration.residuals["rms_px"]
+        rms = calibration.residuals.rms_px
         lines.append(f"{name:<20} {title} to {millimetres:.3f} mm, {degrees:.4f} deg; {rms:.3f} px rms")
     for name, value in zip(names[1:], found.first_from_camera, strict=True):
         place = ", ".join(f"{one:.2f}" for one in 1e3 * value.matrix[:3, 3])

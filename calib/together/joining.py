@@ -15,8 +15,7 @@ from koala3d.calib.handeye.model import Accuracy
 from koala3d.calib.handeye.refine import Refined
 from koala3d.calib.sessions.session import TargetSession
 from koala3d.calib.solver.elimination import covariance_of
-from koala3d.calib.solver.geometry import rms_difference
-from koala3d.calib.together.model import Together, TogetherState
+from koala3d.calib.together.model import JointMeasurements, JointState
 from koala3d.datasets import pose
 from koala3d.datasets.calibration import Calibration, UncertainPose
 from koala3d.datasets.core.errors import UsageError
@@ -48,7 +47,7 @@ def check_unmoved(what: str, found: Sequence[UncertainPose], names: Sequence[str
     for placed, name in zip(found[1:], names[1:], strict=True):
         twist = _twist(placed.matrix @ pose.inverse(found[0].matrix))
         squared = float(twist @ np.linalg.solve(placed.covariance + found[0].covariance, twist))
-        millimetres, degrees = rms_difference(placed.matrix, found[0].matrix)
+        millimetres, degrees = pose.rms_difference(placed.matrix, found[0].matrix)
         if squared > APART and millimetres > 1e3 * APART_M:
             stated = np.hypot(placed.total_std[0], found[0].total_std[0])
             why = (
@@ -64,7 +63,7 @@ def stops(sessions: Sequence[TargetSession], recordings: Sequence[object]) -> tu
     return tuple(np.array([places.setdefault((one, o.name), len(places)) for o in s.observations]) for s, one in pairs)
 
 
-def _own_part(problem: Together, refined: Refined[TogetherState], covariance: Array, number: int) -> Refined[Any]:
+def _own_part(problem: JointMeasurements, refined: Refined[JointState], covariance: Array, number: int) -> Refined[Any]:
     """One session's part of what was found together; `covariance` is that of its own unknowns."""
     corners, noise = problem.corners_of(number), problem.noise[problem.cameras[number]]
     return replace(
@@ -78,8 +77,8 @@ def _own_part(problem: Together, refined: Refined[TogetherState], covariance: Ar
 
 
 def calibration_of(
-    problem: Together,
-    refined: Refined[TogetherState],
+    problem: JointMeasurements,
+    refined: Refined[JointState],
     arm: repeating.Repeating,
     solution: Solution,
     number: int,

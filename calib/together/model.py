@@ -14,12 +14,12 @@ from typing import Self
 import numpy as np
 
 from koala3d.calib.arrays import Array, Indices, Mask
-from koala3d.calib.handeye.model import Accuracy, Session, State, predict
+from koala3d.calib.handeye.model import Accuracy, Measurements, State, predict
 from koala3d.datasets.kinematics import Links
 
 
 @dataclass(frozen=True)
-class TogetherState:
+class JointState:
     """The unknowns."""
 
     intrinsics: tuple[Array, ...]  # of each camera, in the order of `calib.intrinsics.projection`
@@ -31,13 +31,13 @@ class TogetherState:
 
 
 @dataclass(frozen=True)
-class Together:
+class JointMeasurements:
     """What was measured, as a problem for `calib.handeye.refine`. "View" means stop there.
 
     Sessions of one camera have the same free intrinsics, lens and what is known of it.
     """
 
-    sessions: tuple[Session, ...]
+    sessions: tuple[Measurements, ...]
     cameras: tuple[int, ...]  # number of the camera of each session
     boards: tuple[int, ...]  # number of the target of each session
     stops: tuple[Indices, ...]  # of each session: (views,) at which stop the view was taken
@@ -109,7 +109,7 @@ class Together:
         counts = [len(session.view) for session in self.sessions]
         return slice(sum(counts[:number]), sum(counts[: number + 1]))
 
-    def state_of(self, state: TogetherState, number: int) -> State:
+    def state_of(self, state: JointState, number: int) -> State:
         """What one session sees of the unknowns."""
         camera, board = self.cameras[number], self.boards[number]
         return State(
@@ -126,7 +126,7 @@ class Together:
         parts = (session.some(chosen[self.corners_of(number)]) for number, session in enumerate(self.sessions))
         return replace(self, sessions=tuple(parts))
 
-    def predicted(self, state: TogetherState) -> tuple[Array, Array, Array]:
+    def predicted(self, state: JointState) -> tuple[Array, Array, Array]:
         """Corners in pixels of the first camera, and their derivatives by the global unknowns and by their stop's correction."""
         pixels, by_global, by_stop = [], [], []
         for number, session in enumerate(self.sessions):
@@ -138,7 +138,7 @@ class Together:
             by_stop.append(correction / noise)
         return np.concatenate(pixels), np.concatenate(by_global), np.concatenate(by_stop)
 
-    def moved(self, state: TogetherState, step: Array, view_steps: Array) -> TogetherState:
+    def moved(self, state: JointState, step: Array, view_steps: Array) -> JointState:
         """`state` after a step of the global unknowns and of the stops' corrections."""
         each = []
         for number, session in enumerate(self.sessions):
@@ -146,7 +146,7 @@ class Together:
             each.append(session.moved(self.state_of(state, number), step[self.columns_of(number)], still))
         cameras = [each[self.cameras.index(number)] for number in range(len(state.intrinsics))]
         boards = [each[self.boards.index(number)] for number in range(len(state.shapes))]
-        return TogetherState(
+        return JointState(
             tuple(one.intrinsics for one in cameras),
             tuple(one.mount_from_camera for one in cameras),
             tuple(one.stand_from_board for one in boards),
@@ -155,7 +155,7 @@ class Together:
             each[0].link_errors,
         )
 
-    def known_rows(self, state: TogetherState) -> Array:
+    def known_rows(self, state: JointState) -> Array:
         """What is known of each camera, of the links, and of each target: once, though several sessions know it."""
         placed = []
         for number, session in enumerate(self.sessions):
@@ -168,7 +168,7 @@ class Together:
             placed.append(wide[np.array(news)[kinds] == number])
         return np.concatenate(placed)
 
-    def _of_camera(self, number: int) -> Session:
+    def _of_camera(self, number: int) -> Measurements:
         """The first session of a camera."""
         return self.sessions[self.cameras.index(number)]
 

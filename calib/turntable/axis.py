@@ -36,7 +36,7 @@ TWISTS = np.eye(6)
 
 
 @dataclass(frozen=True)
-class Found:
+class FoundAxis:
     """The axis and how well it explains the corners."""
 
     axis: Axis
@@ -67,7 +67,7 @@ class _Measured:
         return projection.project(inside, projection.vector(camera), projection.form(camera))[0] - self.pixels
 
 
-def find(session: TargetSession, angles: Array, calibration: Calibration) -> Found:
+def find(session: TargetSession, angles: Array, calibration: Calibration) -> FoundAxis:
     """The axis from the views of a session.
 
     Args:
@@ -167,7 +167,7 @@ class _Fit:
             kept = size < limit
         return x, kept
 
-    def found(self, x: Array, kept: Array, session: TargetSession) -> Found:
+    def found(self, x: Array, kept: Array, session: TargetSession) -> FoundAxis:
         """The axis of a solution with its covariance."""
         rows, axis = np.repeat(kept, 2), self.axis(x)
         jacobian = _slopes(self.residuals, x)[rows]
@@ -187,7 +187,7 @@ class _Fit:
         view = self.measured.view[kept]
         by_view = {o.name: _rms(size[view == i]) for i, o in enumerate(session.observations) if (view == i).any()}
         axis = replace(axis, covariance=to_axis @ covariance @ to_axis.T)
-        return Found(axis, self.placed(x), _rms(size), by_view, int(kept.sum()), 1 + scale, scale_std)
+        return FoundAxis(axis, self.placed(x), _rms(size), by_view, int(kept.sum()), 1 + scale, scale_std)
 
     def _nuisances(self, x: Array, rows: Array) -> list[tuple[Array, Array]]:
         """Slopes of the residuals by each error of the camera's poses that views share, and the covariance of that error."""
@@ -206,8 +206,8 @@ class _Fit:
                 columns.append((self.residuals(x, other) - self.residuals(x))[rows] / STEP)
             return np.stack(columns, axis=1)
 
-        shift_mm = float(calibration.residuals.get("arm_translation_mm", 0.05))
-        turn_deg = float(calibration.residuals.get("arm_rotation_deg", 0.01))
+        shift_mm = calibration.residuals.arm_translation_mm or 0.05
+        turn_deg = calibration.residuals.arm_rotation_deg or 0.01
         arm = np.diag(np.repeat([1e-3 * shift_mm, np.deg2rad(turn_deg)], 3) ** 2)
         found = [(by(flanges, np.ones(len(flanges), bool)), mount.covariance)]
         place = _places(flanges)

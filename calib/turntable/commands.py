@@ -9,7 +9,7 @@ from koala3d.datasets.core import console
 from koala3d.datasets.core.errors import UsageError
 
 if TYPE_CHECKING:
-    from koala3d.calib.turntable.axis import Found
+    from koala3d.calib.turntable.axis import FoundAxis
 
 SURE = 4.0  # standard deviations from which on a difference of the gear is worth a note
 
@@ -59,14 +59,14 @@ def turntable(
         "turned_per_reported": found.scale,
         "turned_per_reported_std": found.scale_std,
     }
-    result = replace(given, turntable=found.axis, residuals={**given.residuals, "turntable": facts})
+    result = replace(given, turntable=found.axis, residuals=replace(given.residuals, turntable=facts))
     result.save(out)
     content: dict[str, Any] = {"out": str(out), "turntable": found.axis.to_json(), **facts, "notes": _notes(found)}
     content |= {"shift_std_mm": found.axis.shift_std_mm, "tilt_std_deg": found.axis.tilt_std_deg}
     console.report(content, as_json=json, text=f"{_words(found)}\nwritten to {out}")
 
 
-def _words(found: "Found") -> str:
+def _words(found: "FoundAxis") -> str:
     axis = found.axis
     point = ", ".join(f"{1e3 * value:.3f}" for value in axis.point)
     direction = ", ".join(f"{value:.6f}" for value in axis.direction)
@@ -78,7 +78,7 @@ def _words(found: "Found") -> str:
     return "\n".join([*lines, *(f"note: {note}" for note in _notes(found))])
 
 
-def _notes(found: "Found") -> list[str]:
+def _notes(found: "FoundAxis") -> list[str]:
     """What a user should know, one sentence each."""
     off = found.scale - 1
     if abs(off) < SURE * found.scale_std or abs(off) < 1e-4:

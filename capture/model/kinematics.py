@@ -1,6 +1,6 @@
 """Joint angles [rad] and poses [m]: what `datasets.kinematics` has, and what arms of any kind share.
 
-Without `links` the functions mean the UR5e. `capture.arms` has the other arms, and inverse kinematics.
+Without `links` the functions mean the UR5e. `capture.model.arm` has the other arms, and inverse kinematics.
 """
 
 import numpy as np

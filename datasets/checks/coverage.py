@@ -18,9 +18,7 @@ def find(scene: Scene) -> list[Finding]:
     if len(train) < 3:
         return []
     matrices = np.stack([view.world_from_camera for view in scene.views])
-    centre, spread = bounds.focus(matrices)
-    centre = centre if spread > bounds.PARALLEL else scene.box.mean(0)
-    outward = matrices[:, :3, 3] - centre
+    outward = matrices[:, :3, 3] - bounds.middle(matrices, scene.box)
     outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-12)
     trained = np.array([view.split == "train" for view in scene.views])
     apart = np.rad2deg(np.arccos(np.clip(outward @ outward.T, -1, 1)))

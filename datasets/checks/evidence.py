@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 
 from koala3d.datasets.core.console import progress
 from koala3d.datasets.scene import Scene, View
+from koala3d.datasets.splits import evenly
 from koala3d.datasets.structure import bounds, matching
 from koala3d.datasets.structure.epipolar import Pairs
-from koala3d.datasets.structure.matching import Features, Matches
+from koala3d.datasets.structure.matching import Matches, ViewFeatures
 from koala3d.datasets.structure.triangulate import Cloud, triangulate
 
 VIEWS = 80
@@ -34,7 +35,7 @@ class Evidence:
     @classmethod
     def gather(cls, scene: Scene, *, count: int = VIEWS) -> "Evidence":
         """Read and match up to `count` views, evenly spread. Raises as `View.read` does."""
-        views = tuple(scene.views[i] for i in np.unique(np.linspace(0, len(scene.views) - 1, count).round().astype(int)))
+        views = evenly(scene.views, count)
         matrices = np.stack([view.world_from_camera for view in views])
         pictures, features = [], []
         with progress("matching pictures", len(views), "images") as shown:
@@ -42,13 +43,13 @@ class Evidence:
                 pictures.append(matching.shrunk(view.read()))
                 features.append(matching.detect_in(pictures[-1], view))
                 shown.advance()
-        pairs = matching.pairs_of(matrices, focus_of(scene, matrices))
+        pairs = matching.pairs_of(matrices, bounds.middle(matrices, scene.box))
         return cls(scene, views, tuple(pictures), matching.joined(views, features, pairs), matrices)
 
     @cached_property
     def focus(self) -> NDArray[np.float64]:
         """(3,) where the cameras look."""
-        return focus_of(self.scene, self.matrices)
+        return bounds.middle(self.matrices, self.scene.box)
 
     @cached_property
     def pairs(self) -> Pairs:
@@ -75,13 +76,7 @@ class Evidence:
     def with_cameras(self, directions: list[NDArray[np.float64]], matrices: NDArray[np.float64]) -> "Evidence":
         """The same with other rays and poses: what is checked next is free of an error that is known."""
         features = [
-            Features(ray, one.descriptors, one.colours, one.pixel)
+            ViewFeatures(ray, one.descriptors, one.colours, one.pixel)
             for ray, one in zip(directions, self.matches.features, strict=True)
         ]
         return replace(self, matches=Matches(self.matches.views, tuple(features), self.matches.pairs), matrices=matrices)
-
-
-def focus_of(scene: Scene, matrices: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(3,) the point nearest to all optical axes; for parallel axes the middle of the box."""
-    centre, spread = bounds.focus(matrices)
-    return centre if spread > bounds.PARALLEL else scene.box.mean(0)

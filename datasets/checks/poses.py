@@ -24,7 +24,7 @@ def check_poses(scene: Scene) -> list[Finding]:
 def _splits(scene: Scene) -> list[Finding]:
     present = {view.split for view in scene.views}
     names = [view.name for view in scene.views]
-    remedy = "set the split of some views: datasets split"
+    remedy = "set the split of some views: datasets edit SCENE --hold-out 8"
     found = [
         Finding(level, f"there are no {split} views", scene.name, remedy=remedy)
         for level, split in (("error", "train"), ("warning", "test"))

@@ -114,9 +114,9 @@ def _fail(message: str, code: int, error: BaseException | None = None) -> NoRetu
 
 def report(result: dict[str, Any], *, as_json: bool, text: str) -> None:
     """Print the result of a command: `text` for a person, `result` for a program."""
-    from koala3d.datasets.core.files import _plain
+    from koala3d.datasets.core.files import plain
 
-    print(json.dumps(result, default=_plain) if as_json else text, flush=True)
+    print(json.dumps(result, default=plain) if as_json else text, flush=True)
 
 
 def line(text: str) -> None:

@@ -85,6 +85,12 @@ def flush(path: Path) -> None:
         os.close(handle)
 
 
+def cache_folder() -> Path:
+    """Folder for reproducible files: KOALA_CACHE, or below the user's cache folder."""
+    default = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "koala"
+    return Path(os.environ.get("KOALA_CACHE") or default)
+
+
 def make_folder(path: Path) -> None:
     """Make a folder and its parents where they are missing; their names are on the disk when this returns."""
     path = Path(path)
@@ -114,10 +120,11 @@ def write_text(path: Path, text: str) -> None:
 
 def write_json(path: Path, content: Any) -> None:
     """Write `content` as indented JSON, atomically. NaN and infinity are refused, as JSON has neither."""
-    write_text(path, json.dumps(content, indent=1, allow_nan=False, default=_plain) + "\n")
+    write_text(path, json.dumps(content, indent=1, allow_nan=False, default=plain) + "\n")
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """What JSON holds in place of an array, a number of NumPy or a path. Raises TypeError for other values."""
     if isinstance(value, np.ndarray):
         return value.tolist()
     if isinstance(value, np.generic):

@@ -16,8 +16,8 @@ from koala3d.datasets.core.errors import DatasetError, KoalaError
 from koala3d.datasets.formats.finding import masks
 from koala3d.datasets.imaging import images
 from koala3d.datasets.scene import SAME_SHAPE, Scene, View, checked_name
-from koala3d.datasets.structure import bounds, polarity
-from koala3d.datasets.structure.hull import visual_hull
+from koala3d.datasets.structure import bounds
+from koala3d.datasets.structure.outlined import outlined
 
 SHORTEST, LONGEST = 1e-3, 1e6
 """Range of plausible focal lengths, in image widths."""
@@ -132,7 +132,7 @@ def fitted(camera: Camera, picture: Path, *, where: object) -> Camera:
 def foreign_lens(model: str, folder: Path, *, where: object) -> DatasetError:
     """The error of a lens that our camera cannot hold, and the command that mends it."""
     new = f"{folder.resolve().name}_undistorted"
-    remedy = f"make a copy without distortion: datasets undistort {shlex.quote(str(folder))} --out {shlex.quote(new)}"
+    remedy = f"make a copy without distortion: datasets edit {shlex.quote(str(folder))} --undistort --out {shlex.quote(new)}"
     return DatasetError(f"camera model {model} is not supported", where=where, remedy=remedy)
 
 
@@ -147,16 +147,17 @@ def scene(gathering: Gathering, views: tuple[View, ...], format: str, *, near_fa
         if not ((focal > SHORTEST) & (focal < LONGEST)).all():
             why = f"fx {view.camera.fx:.3g}, fy {view.camera.fy:.3g} at a width of {view.camera.width}"
             raise DatasetError("focal length is out of range", where=f"{gathering.folder}, view {view.name}", why=why)
-    views = _right_way_round(views, gathering)
-    masked = _has_empty_pixels(views)
-    train = tuple(view for view in views if view.split == "train") or views
-    if masked:
-        hull = visual_hull(train, bounds.visible_box(train))
-        box, (near, far) = hull.box, hull.depth_range(views)
+    found = outlined(views)
+    if found.inverted:
+        gathering.notes.append(f"masks show the object in black: {found.inverted}")
+        views = tuple(replace(view, mask_inverted=True) for view in views)
+    if found.box is not None:
+        box, near, far = found.box, found.near, found.far
         if near_far is not None and max(near, near_far[0]) < min(far, near_far[1]):  # else they describe something else
             near, far = max(near, near_far[0]), min(far, near_far[1])
-        evidence = f"masks or alpha of {hull.views_used} views" if hull.views_used else CAMERAS_ALONE
+        evidence = f"masks or alpha of {found.views_used} views" if found.views_used else CAMERAS_ALONE
     else:
+        train = tuple(view for view in views if view.split == "train") or views
         box, near, far = bounds.surroundings(train)
         evidence = CAMERAS_ALONE
         if near_far is not None:
@@ -169,23 +170,8 @@ def scene(gathering: Gathering, views: tuple[View, ...], format: str, *, near_fa
         raise DatasetError("no bounds fit these cameras", where=gathering.folder, why=why, remedy=remedy)
     name, notes = gathering.folder.resolve().name, tuple(gathering.notes)
     provenance = {"format": format, "source": str(gathering.folder.absolute())}
-    background = "white" if masked else "scene"
+    background = "scene" if found.box is None else "white"
     return Scene(name, views, near, far, box, background, notes=notes, provenance=provenance, bounds_from=evidence)
-
-
-def _right_way_round(views: tuple[View, ...], gathering: Gathering) -> tuple[View, ...]:
-    """The views, their masks marked as inverted where they show the object in black."""
-    if any(view.mask is None for view in views) or not (why := polarity.inverted(views)):
-        return views
-    gathering.notes.append(f"masks show the object in black: {why}")
-    return tuple(replace(view, mask_inverted=True) for view in views)
-
-
-def _has_empty_pixels(views: Sequence[View]) -> bool:
-    """True where a mask or an alpha of one of five views marks pixels as empty; an opaque alpha does not count."""
-    chosen = [views[i] for i in sorted({int(i) for i in np.linspace(0, len(views) - 1, 5)})]
-    having = [view for view in chosen if view.mask is not None or images.channels(view.image) in (2, 4)]
-    return any(float(view.read()[..., -1].min()) < 0.5 for view in having)
 
 
 def with_points(scene: Scene, points: NDArray[np.float64]) -> Scene:

@@ -73,7 +73,7 @@ def write_model(scene: Scene, views: list[View], folder: Path, *, text: bool) ->
     model = pycolmap.Reconstruction()
     cameras = {camera: number for number, camera in enumerate(dict.fromkeys(view.camera for view in views), 1)}
     for camera, number in cameras.items():
-        kind, values = _parameters(camera)
+        kind, values = lens_of(camera)
         stored = pycolmap.Camera(camera_id=number, model=kind, width=camera.width, height=camera.height, params=values)
         model.add_camera_with_trivial_rig(stored)
     features = _features(scene, views)
@@ -110,7 +110,7 @@ def _features(scene: Scene, views: list[View]) -> dict[int, tuple[np.ndarray, np
     return found
 
 
-def _parameters(camera: Camera) -> tuple[str, list[float]]:
+def lens_of(camera: Camera) -> tuple[str, list[float]]:
     """The simplest lens model that represents a camera, and its parameters."""
     straight = [camera.fx, camera.fy, camera.cx, camera.cy]
     if camera.is_pinhole:

@@ -22,7 +22,7 @@ ORDERS = {"normals": undistort.NEAREST, "depth": undistort.NEAREST}
 
 
 @dataclass(frozen=True)
-class Placed:
+class PlacedView:
     """A view as exported, and the rotation of its axis."""
 
     view: View
@@ -43,7 +43,7 @@ class Layout:
     """Path of a view's mask without suffix, from {stem} and {file} of the image; None to put it into the image's alpha."""
 
 
-def place(view: View, folder: Path, stem: str, layout: Layout) -> Placed:
+def place(view: View, folder: Path, stem: str, layout: Layout) -> PlacedView:
     """Write one view's image to `stem` (relative, without its suffix) below `folder`, and its mask and truth.
 
     Raises:
@@ -65,13 +65,15 @@ def place(view: View, folder: Path, stem: str, layout: Layout) -> Placed:
         mask = _kept(view.mask, folder, at) if same else _written(folder, f"{at}.png", _straightened(view.mask, pinhole))
     truth = {key: _truth(view, key, folder, pinhole, same) for key in view.truth}
     if same:
-        return Placed(replace(view, image=image, mask=mask, truth=truth, deviation=None), 0.0, False)
+        return PlacedView(replace(view, image=image, mask=mask, truth=truth, deviation=None), 0.0, False)
     matrix = view.world_from_camera @ pinhole.source_from_camera
     placed = replace(view, camera=pinhole.camera, world_from_camera=matrix, image=image, mask=mask, truth=truth, deviation=None)
-    return Placed(placed, pinhole.turned_deg, True)
+    return PlacedView(placed, pinhole.turned_deg, True)
 
 
-def place_all(views: Sequence[View], folder: Path, stem_of: Callable[[View], str], layout: Layout, done: Step) -> list[Placed]:
+def place_all(
+    views: Sequence[View], folder: Path, stem_of: Callable[[View], str], layout: Layout, done: Step
+) -> list[PlacedView]:
     """`place` every view at the stem that `stem_of` gives; `done` is called after each. Raises as `place` does."""
     placed = []
     for view in views:
@@ -88,7 +90,7 @@ def moved(old: View, new: View, pixels: NDArray[np.float64]) -> NDArray[np.float
     return new.camera.project(rays)
 
 
-def limits(scene: Scene, placed: Sequence[Placed], layout: Layout) -> str:
+def limits(scene: Scene, placed: Sequence[PlacedView], layout: Layout) -> str:
     """One line on what the format cannot hold of this scene and what was done about it; empty where it holds everything."""
     lost = []
     resampled = [p for p in placed if p.resampled]

@@ -61,7 +61,7 @@ class Ruler:
         places = [sighted(self.scene, end) for end in self.ends]
         if None in places:
             return f"**{distance:.4g} {unit}**"
-        command = f"datasets align SCENE --known-length {' '.join(shlex.quote(str(place)) for place in places)} METRES --out NEW"
+        command = f"datasets edit SCENE --known-length {' '.join(shlex.quote(str(place)) for place in places)} METRES --out NEW"
         return f"**{distance:.4g} {unit}**\n\nWith its true length in metres:\n\n```\n{command}\n```"
 
     def _draw(self) -> None:

@@ -35,8 +35,7 @@ class SceneView:
         self.page, self.scene = page, scene
         matrices = np.stack([view.world_from_camera for view in scene.views])
         self.up = shapes.upright(list(matrices))
-        centre, spread = bounds.focus(matrices)
-        self.centre = centre if spread > bounds.PARALLEL else scene.box.mean(0)
+        self.centre = bounds.middle(matrices, scene.box)
         self.reach = max(float(np.median(np.linalg.norm(matrices[:, :3, 3] - self.centre, axis=1))), 1e-6)
         """Median distance of the cameras from their focus [world unit]."""
         self.cameras: dict[str, viser.CameraFrustumHandle] = {}

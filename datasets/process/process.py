@@ -14,9 +14,9 @@ from koala3d.datasets.formats import colmap, koala
 from koala3d.datasets.formats.links import link
 from koala3d.datasets.imaging.downscale import streamed
 from koala3d.datasets.process.pictures import features, frames, photographs
-from koala3d.datasets.process.pictures.features import Features
+from koala3d.datasets.process.pictures.features import PictureFeatures
 from koala3d.datasets.process.pictures.markers import Marker
-from koala3d.datasets.process.pictures.photographs import Found
+from koala3d.datasets.process.pictures.photographs import Photographs
 from koala3d.datasets.process.poses import database, mapping, pairs, reasons
 from koala3d.datasets.process.poses.database import Picture
 from koala3d.datasets.process.work import Work, state
@@ -90,7 +90,7 @@ def process(source: Path, out: Path, request: Request, wishes: Wishes) -> Proces
     return Processed(replace(aligned, scene=scene), given, left_out, sizes, float(np.median(errors_px(scene))), resumed)
 
 
-def _pictures(source: Path, work: Work, request: Request) -> tuple[Found, bool]:
+def _pictures(source: Path, work: Work, request: Request) -> tuple[Photographs, bool]:
     """The photographs, or the frames of the video, and whether earlier work goes on."""
     choices = [request.match, request.cameras, None if request.vocabulary is None else state(request.vocabulary)]
     if not frames.is_video(source):
@@ -104,15 +104,15 @@ def _pictures(source: Path, work: Work, request: Request) -> tuple[Found, bool]:
     return photographs.find(work.frames), resumed
 
 
-def _searched(found: Found, work: Work, request: Request) -> tuple[list[Picture], dict[str, str]]:
+def _searched(found: Photographs, work: Work, request: Request) -> tuple[list[Picture], dict[str, str]]:
     """The pictures with their features, and why others cannot be read, by file name."""
     work.features.mkdir(exist_ok=True)
 
-    def features_of(index: int) -> Features | DatasetError:
+    def features_of(index: int) -> PictureFeatures | DatasetError:
         kept = work.features / f"{index + 1:06d}.npz"
         try:
             if kept.is_file():
-                return Features.load(kept)
+                return PictureFeatures.load(kept)
             new = features.detect(found.photographs[index].path)
         except DatasetError as error:
             return error

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.scene import Scene, View
-from koala3d.datasets.structure.bounds import PARALLEL, focus
+from koala3d.datasets.structure.bounds import PARALLEL, focus, grid
 
 CELLS = 56
 """Cells along each side of the grid."""
@@ -62,8 +62,7 @@ class Space:
     @classmethod
     def about(cls, ball: Ball, views: Sequence[View], cameras: Sequence[Camera]) -> Self:
         """The grid of a ball; `cameras` are those of the views' small pictures."""
-        axis = ((np.arange(CELLS) + 0.5) / CELLS * 2 - 1) * REACH
-        points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
+        points = grid([[-REACH] * 3, [REACH] * 3], CELLS)
         found = [_seen(ball, points, view, camera) for view, camera in zip(views, cameras, strict=True)]
         sizes = tuple((camera.height, camera.width) for camera in cameras)
         return cls(np.linalg.norm(points, axis=1), tuple(one for one, _ in found), sizes, tuple(width for _, width in found))

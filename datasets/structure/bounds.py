@@ -36,6 +36,18 @@ def focus(world_from_camera: ArrayLike) -> tuple[NDArray[np.float64], float]:
     return centre + np.linalg.pinv(normal, rcond=1e-9, hermitian=True) @ offset, float(np.linalg.eigvalsh(normal)[0])
 
 
+def middle(world_from_camera: ArrayLike, box: ArrayLike) -> NDArray[np.float64]:
+    """(3,) where (n, 4, 4) cameras look: their focus; for parallel axes the middle of the box."""
+    centre, spread = focus(world_from_camera)
+    return centre if spread > PARALLEL else np.asarray(box, np.float64).mean(0)
+
+
+def grid(box: ArrayLike, cells: int) -> NDArray[np.float64]:
+    """(cells^3, 3) centres of the cells into which a box is divided."""
+    axes = [np.linspace(low, high, 2 * cells + 1)[1::2] for low, high in np.asarray(box, np.float64).T]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
 def corners(box: ArrayLike) -> NDArray[np.float64]:
     """(8, 3) corners of a box."""
     box = np.asarray(box, np.float64)

@@ -9,8 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.datasets.scene import Scene
-from koala3d.datasets.structure import bounds, matching
 from koala3d.datasets.structure.matching import Matches
 from koala3d.datasets.structure.relative import robust_median, values_of_views
 from koala3d.datasets.structure.triangulate import explained
@@ -67,19 +65,3 @@ def exposure_gains(matches: Matches, world_from_camera: NDArray[np.float64]) -> 
             found = values_of_views(count, pairs, np.array(differences), np.array(deviations))
             log_gains[:, channel], std[:, channel] = found
     return ExposureGains(tuple(view.name for view in matches.views), log_gains, std, points)
-
-
-def measured_gains(scene: Scene, *, count: int = 5) -> ExposureGains:
-    """Gains of all views of a scene; their features are detected and matched for that, which takes about 0.1 s a view.
-
-    Args:
-        scene: with the views to compare.
-        count: number of neighbours with which each view is matched, besides the next two in the order of capture.
-
-    Raises:
-        DatasetError: an image is missing, damaged or of the wrong size.
-    """
-    matrices = np.stack([view.world_from_camera for view in scene.views])
-    centre, spread = bounds.focus(matrices)
-    centre = centre if spread > bounds.PARALLEL else scene.box.mean(0)
-    return exposure_gains(matching.matched(scene.views, matching.pairs_of(matrices, centre, count=count)), matrices)

@@ -7,8 +7,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from koala3d.datasets.imaging import images
+from koala3d.datasets.imaging.downscale import streamed
+from koala3d.datasets.imaging.reduced import READERS
 from koala3d.datasets.scene import View
-from koala3d.datasets.structure.bounds import Box, depth_range
+from koala3d.datasets.splits import evenly
+from koala3d.datasets.structure.bounds import Box, depth_range, grid
 from koala3d.datasets.structure.votes import FEWEST, Silhouette, upheld
 
 GROWTH = (1.0, 1.25, 1.5, 2.0, 2.5)
@@ -54,8 +57,8 @@ def visual_hull(views: Sequence[View], box: ArrayLike, *, views_used: int = 64, 
     Where such a hull does not explain the masks, since the object leaves pictures at their edges, it is looked for in a larger
     box, and among what fewer views see.
     """
-    chosen = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, views_used).round().astype(int))]
-    silhouettes = [_silhouette(view) for view in chosen]
+    chosen = evenly(views, views_used)
+    silhouettes = list(streamed(_silhouette, chosen, workers=READERS))
     start = np.asarray(box, np.float64)
     found: list[tuple[float, Hull]] = []
     for one_of in SEEN_BY:
@@ -75,8 +78,7 @@ def _hull_within(silhouettes: Sequence[Silhouette], box: Box, needed: int, resol
     kept, radius, result = np.zeros((0, 3)), 0.0, box
     for _ in range(3):
         voxel = (result[1] - result[0]) / resolution
-        axes = [result[0, k] + voxel[k] * (np.arange(resolution) + 0.5) for k in range(3)]
-        points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        points = grid(result, resolution)
         radius = float(np.linalg.norm(voxel)) / 2
         index, seen = upheld(silhouettes, points, radius)
         kept = points[index[seen >= needed]]
@@ -94,7 +96,8 @@ FAINTEST = 0.1
 
 def _silhouette(view: View) -> Silhouette:
     """A view's mask in cells, of the object where any of their pixels is."""
-    inside = (view.read_mask() if view.mask else images.read(view.image))[..., -1] > FAINTEST
+    stored = view.read_stored_mask() if view.mask else images.read_stored(view.image)[..., -1:]
+    inside = images.as_float(stored)[..., 0] > FAINTEST
     height, width = inside.shape
     padded = np.pad(inside, ((0, -height % _CELL), (0, -width % _CELL)))
     rows, columns = padded.shape[0] // _CELL, padded.shape[1] // _CELL

@@ -11,9 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.datasets import conventions
 from koala3d.datasets.core.progress import Step, ignore
-from koala3d.datasets.imaging import images
+from koala3d.datasets.imaging import images, sift
 from koala3d.datasets.scene import View
 
 SIDE = 640
@@ -29,7 +28,7 @@ BLUR_PX = 2.0
 
 
 @dataclass(frozen=True, eq=False)
-class Features:
+class ViewFeatures:
     """Features of one view."""
 
     directions: NDArray[np.float64]
@@ -52,7 +51,7 @@ class Matches:
     """Features of several views and their correspondences."""
 
     views: tuple[View, ...]
-    features: tuple[Features, ...]
+    features: tuple[ViewFeatures, ...]
     pairs: tuple[tuple[int, int, NDArray[np.int64]], ...]
     """(first view, second view, (k, 2) indices of their features)."""
 
@@ -72,7 +71,7 @@ def matched(views: Sequence[View], pairs: Iterable[tuple[int, int]], *, side: in
     return joined(views, found, pairs)
 
 
-def joined(views: Sequence[View], found: Sequence["Features"], pairs: Iterable[tuple[int, int]]) -> Matches:
+def joined(views: Sequence[View], found: Sequence["ViewFeatures"], pairs: Iterable[tuple[int, int]]) -> Matches:
     """Matches of views whose features are known, between the given pairs."""
     pairs = list(pairs)
     with ThreadPoolExecutor(THREADS) as threads:
@@ -81,7 +80,7 @@ def joined(views: Sequence[View], found: Sequence["Features"], pairs: Iterable[t
     return Matches(tuple(views), tuple(found), tuple(kept))
 
 
-def detect(view: View, *, side: int = SIDE, count: int = COUNT) -> Features:
+def detect(view: View, *, side: int = SIDE, count: int = COUNT) -> ViewFeatures:
     """Features of a view; with an alpha or a mask, only those of the object. Raises as `View.read` does."""
     return detect_in(shrunk(view.read(), side), view, count=count)
 
@@ -95,24 +94,16 @@ def shrunk(picture: NDArray[np.float32], side: int = SIDE) -> NDArray[np.float32
     return np.asarray(cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA), np.float32)
 
 
-def detect_in(small: NDArray[np.float32], view: View, *, count: int = COUNT) -> Features:
+def detect_in(small: NDArray[np.float32], view: View, *, count: int = COUNT) -> ViewFeatures:
     """Features of a view in its picture at any size."""
-    import cv2
-
     height, width = small.shape[:2]
     grey = 255 * small[..., :3].mean(-1)
     grey = np.where(np.isnan(grey), 0, grey).clip(0, 255).astype(np.uint8)  # NaN, as behind a mask, becomes black
     mask = np.uint8(255) * (small[..., 3] > 0.5) if small.shape[-1] == 4 else None
-    sift = cv2.SIFT.create(count, 3, 0.02, 10.0, 1.6, cv2.CV_32F, True)  # True: no bias of a quarter of a pixel
-    keypoints, descriptors = sift.detectAndCompute(grey, mask)
-    pixel = 1 / (view.camera.fx * width / view.camera.width)
-    if descriptors is None:
-        return Features(np.zeros((0, 3)), np.zeros((0, 128), np.float32), np.zeros((0, 3), np.float32), pixel)
-    pixels = conventions.pixels_from_opencv([point.pt for point in keypoints])
-    root = np.sqrt(descriptors / np.maximum(descriptors.sum(1, keepdims=True), 1e-12))
-    column, row = np.minimum(pixels.astype(int), [width - 1, height - 1]).T
-    directions = view.camera.scaled(width, height).directions(pixels)
-    return Features(directions, root.astype(np.float32), _colours(small)[row, column], pixel)
+    found = sift.keypoints(grey, mask, count)
+    directions = view.camera.scaled(width, height).directions(found.pixels)
+    colours = _colours(small)[found.inside(width, height)]
+    return ViewFeatures(directions, found.descriptors, colours, 1 / (view.camera.fx * width / view.camera.width))
 
 
 def _colours(picture: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -128,7 +119,7 @@ def _colours(picture: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(cv2.GaussianBlur(light * alpha, (0, 0), BLUR_PX) / np.maximum(share, 1e-3), np.float32)
 
 
-def match(first: Features, second: Features) -> NDArray[np.int64]:
+def match(first: ViewFeatures, second: ViewFeatures) -> NDArray[np.int64]:
     """(k, 2) indices of features that are each other's best and clearly better than the second best."""
     if min(len(first.descriptors), len(second.descriptors)) < 2:
         return np.zeros((0, 2), np.int64)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from koala3d.datasets.core.progress import Count, Step, ignore
 from koala3d.datasets.imaging import images
 from koala3d.datasets.scene import Scene, Sightings, View
+from koala3d.datasets.splits import evenly
 from koala3d.datasets.structure import bounds, matching
 from koala3d.datasets.structure.matching import Matches
 from koala3d.datasets.structure.triangulate import DOUBTFUL, Cloud, agreement, endless_share, triangulate
@@ -35,11 +36,9 @@ def measured(scene: Scene, *, views_used: int = VIEWS, done: Count = ignore) -> 
         DatasetError: an image is missing, damaged or of the wrong size.
     """
     train = tuple(view for view in scene.views if view.split == "train") or scene.views
-    views = tuple(train[i] for i in np.unique(np.linspace(0, len(train) - 1, views_used).round().astype(int)))
+    views = evenly(train, views_used)
     matrices = np.stack([view.world_from_camera for view in views])
-    centre, spread = bounds.focus(matrices)
-    if spread < bounds.PARALLEL:  # the axes have no common point: use any visible depth
-        centre = scene.box.mean(0)
+    centre = bounds.middle(matrices, scene.box)
     searched = iter(range(1, len(views) + 1))
     matches, cloud, found = _placed(views, matrices, centre, lambda: done(next(searched), len(views)))
     placed = f"{len(cloud.points)} points triangulated from {len(views)} views"

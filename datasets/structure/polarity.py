@@ -11,8 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koala3d.datasets.imaging import images
+from koala3d.datasets.imaging.downscale import streamed
+from koala3d.datasets.imaging.reduced import READERS
 from koala3d.datasets.scene import View
-from koala3d.datasets.structure.bounds import visible_box
+from koala3d.datasets.splits import evenly
+from koala3d.datasets.structure.bounds import grid, visible_box
 
 CLEAR_BORDER = 0.2
 """Share of white on the borders up to which white is the object without a further look."""
@@ -30,8 +33,8 @@ _PURE = 0.02
 
 def inverted(views: Sequence[View]) -> str:
     """Why black is the object in these masks, in a few words; empty where white is. The views must all have masks."""
-    chosen = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, VIEWS).round().astype(int))]
-    cells = [_cells(view) for view in chosen]
+    chosen = evenly(views, VIEWS)
+    cells = list(streamed(_cells, chosen, workers=READERS))
     border = float(np.mean([border_white(cell) for cell in cells]))
     if border <= CLEAR_BORDER:
         return ""
@@ -93,8 +96,7 @@ def _cells(view: View) -> NDArray[np.float32]:
 
 def _places(view: View, shape: tuple[int, ...], box: NDArray[np.float64]) -> NDArray[np.int64]:
     """(n,) flat index of the cell in which a view sees each voxel of a box; -1 outside its picture."""
-    axes = [np.linspace(low, high, 2 * _VOXELS + 1)[1::2] for low, high in box.T]
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    points = grid(box, _VOXELS)
     local = (points - view.world_from_camera[:3, 3]) @ view.world_from_camera[:3, :3]
     front = local[:, 2] > 0
     camera = view.camera

@@ -17,8 +17,8 @@ from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.structure.bounds import half_field
 
 FEWEST, SHARE = 2, 0.1
-"""A place is ruled out by so many of the views that see it, and by this share of them. A share of 0.1 restores the rim of a
-gold cape that several masks cut off (docs/lab, 2026-11-23); what it costs where masks are exact is not measured yet."""
+"""Fewest views that rule a place out, and the least share of the views that see it; both are needed. A share of 0.1 restores
+the rim of a gold cape that several masks cut off (docs/lab, 2026-11-23). What it costs if masks are exact is not measured."""
 Slack = tuple[float, float]
 """How far cameras may be from where they are said to be [world unit], and turned [rad]."""
 EXACT: Slack = (0.0, 0.0)

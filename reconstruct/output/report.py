@@ -159,7 +159,7 @@ def _mesh_scores(result: dict[str, Any]) -> list[Measurement]:
 def _calibration_scores(path: Path | None) -> list[Measurement]:
     """Accuracy of a calibration, and its error if the recording was simulated."""
     from koala3d.datasets.calibration import Calibration
-    from koala3d.datasets.truth import calibration_error, has_truth
+    from koala3d.datasets.checks.truth import calibration_error, has_truth
 
     if path is None:
         return []
@@ -171,7 +171,7 @@ def _calibration_scores(path: Path | None) -> list[Measurement]:
         for key, name in CALIBRATION_ERRORS.items():
             scores.append((name, Number(error[key], key.rsplit("_", 1)[1]), "error against the truth of the simulation"))
     for key, name in HELD_OUT.items():
-        if (residual := calibration.residuals.get(key)) is not None:
+        if (residual := getattr(calibration.residuals, key)) is not None:
             value = Number(residual, key.rsplit("_", 1)[1])
             scores.append((name, value, "root mean square, each view predicted from the others"))
     return scores

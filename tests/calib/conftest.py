@@ -37,9 +37,9 @@ class Simulated:
     base_from_board: np.ndarray = None
     taken: np.ndarray = None  # (views, 4, 4) true base_from_camera
 
-    def session(self, **options) -> model.Session:
+    def session(self, **options) -> model.Measurements:
         view = np.repeat(np.arange(len(self.observations)), [len(o.ids) for o in self.observations])
-        return model.Session(
+        return model.Measurements(
             self.reported,
             view,
             np.concatenate([o.pixels for o in self.observations]),

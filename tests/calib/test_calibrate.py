@@ -36,8 +36,8 @@ def test_pictures_give_the_rig(recorded, calibrated):
     millimetres, degrees = errors(found, recorded[1])
     # half the resolution of the demo and 11 views; the arm alone (0.05 mm, 0.01 deg) leaves about 0.05 mm and 0.01 deg
     assert millimetres < 0.25 and degrees < 0.05
-    assert found.residuals["views_used"] == 11 and found.residuals["views_unseen"] == ["011"]
-    assert found.residuals["rms_px"] < 0.1
+    assert found.residuals.views_used == 11 and found.residuals.views_unseen == ["011"]
+    assert found.residuals.rms_px < 0.1
 
 
 def test_calibration_survives_its_file(simulate, tmp_path):
@@ -84,7 +84,7 @@ def test_a_view_that_disagrees_is_left_out_and_named(simulate):
     reported = simulated.reported.copy()
     reported[4, :3, 3] += [0.01, 0.0, 0.0]
     found = calibrate.calibrate_handeye(target_session(replace(simulated, reported=reported)))
-    assert found.residuals["views_left_out"] == ["004"] and found.residuals["views_used"] == 14
+    assert found.residuals.views_left_out == ["004"] and found.residuals.views_used == 14
     assert errors(found, simulated)[0] < 0.4
 
 
@@ -100,8 +100,8 @@ def test_held_out_error_is_that_of_the_arm(simulate):
     poor = simulate(seed=47, views=25, translation_m=5e-4, rotation_deg=0.0)
     found = calibrate.calibrate_handeye(target_session(poor), accuracy=Accuracy(5e-4, 1e-5))
     # 0.5 mm per axis, two axes across the line of sight: 0.71 mm, a tenth more since 20 views fit the rest
-    assert 0.5 < found.residuals["held_out_mm"] < 1.0
-    assert found.residuals["rms_px"] == pytest.approx(0.1 * np.sqrt(2), rel=0.1)
+    assert 0.5 < found.residuals.held_out_mm < 1.0
+    assert found.residuals.rms_px == pytest.approx(0.1 * np.sqrt(2), rel=0.1)
 
 
 def test_verification_sees_a_hand_eye_error(simulate):

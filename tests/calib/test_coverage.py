@@ -5,10 +5,10 @@ import pytest
 from scipy.stats import chi2
 
 from koala3d.calib import calibrate
-from koala3d.calib.study import variants
-from koala3d.calib.study.bench import ESTIMATED, RIG
-from koala3d.calib.study.simulate import Pattern, simulate, viewpoints
+from koala3d.calib.advice.patterns import ViewRange, viewpoints
+from koala3d.calib.advice.simulate import ARM, SIGMA_PX, simulate, target_session
 from koala3d.datasets import pose
+from tests.bench.handeye import ESTIMATED, RIG
 
 
 def inside(truth, stated):
@@ -20,9 +20,7 @@ def inside(truth, stated):
 
 def draw(seed, views):
     rng = np.random.default_rng([9, seed, views])
-    return simulate(
-        rng, RIG, viewpoints(rng, RIG, views, Pattern()), sigma_px=variants.SIGMA_PX, arm=variants.ARM, free=ESTIMATED
-    )
+    return simulate(rng, RIG, viewpoints(rng, RIG, views, ViewRange()), sigma_px=SIGMA_PX, arm=ARM, free=ESTIMATED)
 
 
 @pytest.mark.slow
@@ -33,6 +31,6 @@ def test_coverage_of_two_hundred_sessions_that_go_the_whole_way(views):
     held = []
     for seed in range(200):
         simulated = draw(seed, views)
-        found = calibrate.calibrate_handeye(variants.target_session(simulated), accuracy=variants.ARM)
+        found = calibrate.calibrate_handeye(target_session(simulated), accuracy=ARM)
         held.append(inside(simulated.truth.mount_from_camera, found.flange_from_camera))
     assert 0.93 <= np.mean(held) <= 0.97, np.mean(held)

@@ -8,12 +8,12 @@ import pytest
 from koala3d.calib import calibrate
 from koala3d.calib.advice.adviser import Adviser, Wanted
 from koala3d.calib.advice.hints import hints
+from koala3d.calib.advice.simulate import KOALA
 from koala3d.calib.errors import Unobservable
 from koala3d.calib.handeye import model, refine, uncertainty, verify
-from koala3d.calib.handeye.model import Accuracy, Session, State
+from koala3d.calib.handeye.model import Accuracy, Measurements, State
 from koala3d.calib.intrinsics import projection
 from koala3d.calib.sessions.session import TargetSession
-from koala3d.calib.study.simulate import KOALA
 from koala3d.calib.targets.detection import Observation
 from koala3d.datasets import pose
 from koala3d.datasets.calibration import Calibration
@@ -58,7 +58,7 @@ def test_noise_free_corners_are_predicted_exactly():
 
 def test_jacobian_agrees_with_central_differences():
     session, errors = simulated(1, views=6)
-    measured: Session = model.measured(session, ("fx", "k1"), None, ARM)
+    measured: Measurements = model.measured(session, ("fx", "k1"), None, ARM)
     state = State(projection.vector(KOALA.camera), BASE_FROM_CAMERA, FLANGE_FROM_BOARD, 1e3 * errors)
     _, by_global, by_view = model.predict(measured, state)
     none = np.zeros((6, 6))
@@ -129,4 +129,4 @@ def test_a_wrong_view_is_left_out():
     reported = session.base_from_flange.copy()
     reported[4, :3, 3] += [0.01, 0, 0]
     found = calibrate.calibrate_handeye(replace(session, base_from_flange=reported), accuracy=ARM)
-    assert found.residuals["views_left_out"] == ["004"]
+    assert found.residuals.views_left_out == ["004"]

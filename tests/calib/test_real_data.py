@@ -6,14 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from koala3d.calib import calibrate
+from koala3d.calib import calibrate, comparison
 from koala3d.calib.calibrate import calibrate_handeye
 from koala3d.calib.handeye import closed_forms
 from koala3d.calib.handeye.model import Accuracy
 from koala3d.calib.intrinsics import estimate
 from koala3d.calib.page.summary import notes
 from koala3d.calib.sessions import importer
-from koala3d.calib.study import compare
 from koala3d.datasets import pose
 from koala3d.datasets.calibration import Calibration
 
@@ -62,7 +61,7 @@ def closed_form(session, camera, method):
 
 
 def by_name(session, camera):
-    return {row.name: row for row in compare.compare(session, Calibration(camera, {}), ARM)}
+    return {row.name: row for row in comparison.compare(session, Calibration(camera, {}), ARM)}
 
 
 def test_park_gives_the_published_answer_for_visp(visp):
@@ -98,7 +97,7 @@ def test_refinement_of_visp_stays_with_the_published_answer_and_admits_the_arm_e
     # the arm's poses scatter by millimetres; both answers must agree within the stated uncertainty
     assert (np.abs(difference) < 2 * found.flange_from_camera.translation_std_mm).all()
     assert np.linalg.norm(difference) < 1.0
-    assert found.residuals["arm_translation_mm"] > 1 and any("less accurate than stated" in note for note in notes(found))
+    assert found.residuals.arm_translation_mm > 1 and any("less accurate than stated" in note for note in notes(found))
 
 
 def test_refinement_of_charuco_agrees_within_its_uncertainty(charuco, published):
@@ -107,7 +106,7 @@ def test_refinement_of_charuco_agrees_within_its_uncertainty(charuco, published)
     difference = 1e3 * (found.flange_from_camera.matrix[:3, 3] - published[:3, 3])
     assert (np.abs(difference) < 3 * found.flange_from_camera.translation_std_mm).all()
     assert np.linalg.norm(difference) < 2.0
-    assert found.residuals["rms_px"] < 0.4  # the drawn axes spoil a few corners
+    assert found.residuals.rms_px < 0.4  # the drawn axes spoil a few corners
 
 
 def test_camera_beside_the_arm_is_in_front_of_it(beside):
@@ -116,7 +115,7 @@ def test_camera_beside_the_arm_is_in_front_of_it(beside):
     found = calibrate_handeye(session, Calibration(camera, {}), ARM)
     place = found.base_from_camera.matrix
     assert 0.8 < place[0, 3] < 1.1 and place[0, 2] < -0.5, "a metre in front of the base, looking back at it"
-    assert found.residuals["rms_px"] < 0.5
+    assert found.residuals.rms_px < 0.5
 
 
 def test_poses_read_by_columns_are_refused_with_the_remedy(charuco):

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from koala3d.calib import calibrate
+from koala3d.calib.advice.patterns import ViewRange, viewpoints
+from koala3d.calib.advice.simulate import KOALA, simulate
 from koala3d.calib.errors import CalibrationError, Unobservable
 from koala3d.calib.handeye import closed_forms, uncertainty
 from koala3d.calib.handeye.model import Accuracy
 from koala3d.calib.sessions.session import TargetSession
-from koala3d.calib.study.simulate import KOALA, Pattern, simulate, viewpoints
 from koala3d.datasets import pose
 from koala3d.datasets.calibration import Calibration
 from koala3d.datasets.camera_model import Camera
@@ -63,13 +64,13 @@ def right_or_refused(found, simulated):
 
 def draw(seed=0, rig=RIG, pattern=None, views=15, sigma_px=0.1, arm=ARM):
     rng = np.random.default_rng([8, seed])
-    return simulate(rng, rig, viewpoints(rng, rig, views, pattern or Pattern()), sigma_px=sigma_px, arm=arm)
+    return simulate(rng, rig, viewpoints(rng, rig, views, pattern or ViewRange()), sigma_px=sigma_px, arm=arm)
 
 
 @pytest.mark.parametrize("angle", [1e-6, slow(1e-5), slow(1e-4), 1e-3, slow(1e-2), 0.05, 0.2, slow(0.5), 1.0])
 def test_tilts_from_a_millionth_of_a_radian_on(angle):
     degrees = float(np.rad2deg(angle))
-    simulated = draw(pattern=Pattern((0.0, degrees), roll_deg=(-degrees, degrees)))
+    simulated = draw(pattern=ViewRange((0.0, degrees), roll_deg=(-degrees, degrees)))
     assert right_or_refused(outcome(simulated), simulated) == (angle >= 0.2) or 0.01 <= angle < 0.2
     if angle <= 1e-3:
         assert "observable" in outcome(simulated)
@@ -108,7 +109,7 @@ def test_two_poses_many_times_are_refused():
 
 
 def test_four_poses_many_times_are_worth_four():
-    simulated = draw(seed=5, pattern=Pattern((25.0, 45.0)))
+    simulated = draw(seed=5, pattern=ViewRange((25.0, 45.0)))
     again = simulate(np.random.default_rng(0), RIG, simulated.base_from_camera[np.arange(15) % 4], sigma_px=0.1, arm=ARM)
     assert right_or_refused(outcome(again), again)
 
@@ -119,7 +120,7 @@ def test_focal_lengths_of_a_hundred_to_a_hundred_thousand_pixels(focal, given):
     """The board fills the same share of the picture: the longer the lens, the further away it is."""
     distance = np.array([0.4, 0.6]) * focal / 1700
     rig = replace(RIG, camera=Camera(1920, 1080, focal, focal, 968.0, 534.0))
-    simulated = draw(seed=6, rig=rig, pattern=Pattern(distance_m=(max(distance[0], 0.15), max(distance[1], 0.25))), views=20)
+    simulated = draw(seed=6, rig=rig, pattern=ViewRange(distance_m=(max(distance[0], 0.15), max(distance[1], 0.25))), views=20)
     found = outcome(simulated, given=given)
     answered = right_or_refused(found, simulated)
     if given and 3e2 <= focal <= 1e4:
@@ -131,7 +132,7 @@ def test_boards_of_five_centimetres_to_fifty_metres(width):
     scale = width / 0.36
     board = Board.of("charuco", 8, 6, 0.045 * scale, 0.033 * scale)
     simulated = draw(
-        seed=7, rig=replace(RIG, board=board), pattern=Pattern(distance_m=(0.4 * scale, 0.6 * scale), shift_m=0.03 * scale)
+        seed=7, rig=replace(RIG, board=board), pattern=ViewRange(distance_m=(0.4 * scale, 0.6 * scale), shift_m=0.03 * scale)
     )
     found = outcome(simulated)
     answered = right_or_refused(found, simulated)
@@ -186,9 +187,9 @@ def test_poses_that_are_no_numbers_are_refused_by_name(bad):
 
 
 def test_board_seen_edge_on_and_in_a_corner():
-    simulated = draw(seed=11, pattern=Pattern((75.0, 88.0)), views=15)
+    simulated = draw(seed=11, pattern=ViewRange((75.0, 88.0)), views=15)
     right_or_refused(outcome(simulated), simulated)
-    far = draw(seed=12, pattern=Pattern(distance_m=(4.0, 6.0)))
+    far = draw(seed=12, pattern=ViewRange(distance_m=(4.0, 6.0)))
     right_or_refused(outcome(far), far)
 
 
@@ -209,7 +210,7 @@ def test_closed_forms_give_a_pose_or_an_error(method, angle):
 
 
 def test_information_that_says_nothing_about_a_direction_is_refused_by_name():
-    simulated = draw(seed=13, pattern=Pattern((0.0, 0.0), roll_deg=(-180.0, 180.0)))
+    simulated = draw(seed=13, pattern=ViewRange((0.0, 0.0), roll_deg=(-180.0, 180.0)))
     with pytest.raises(Unobservable, match=r"along the axis of rotation"):
         uncertainty.check_motion(simulated.session.base_from_flange)
     with pytest.raises(CalibrationError):

@@ -9,6 +9,7 @@ from koala3d.datasets.calibration import Calibration, LinkErrors, UncertainPose
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core.errors import DatasetError, UsageError
 from koala3d.datasets.imaging.region import Region
+from koala3d.datasets.residuals import Residuals
 
 CAMERA = Camera(640, 480, 500.0, 501.0, 322.0, 239.0, k1=-0.1)
 POSE = UncertainPose(
@@ -17,14 +18,14 @@ POSE = UncertainPose(
 
 
 def test_everything_comes_back(tmp_path: Path) -> None:
-    more = {"region": Region(640, 480, 8, 4, 2), "residuals": {"rms_px": 0.1}, "provenance": {"method": "made up"}}
+    more = {"region": Region(640, 480, 8, 4, 2), "residuals": Residuals(rms_px=0.1), "provenance": {"method": "made up"}}
     Calibration(CAMERA, {"fx": 0.1}, POSE, **more).save(tmp_path / "c.json")
     again = Calibration.load(tmp_path / "c.json")
     assert again.camera == CAMERA and again.camera_std == {"fx": 0.1} and again.base_from_board is None
     assert again.flange_from_camera is not None
     assert np.abs(again.flange_from_camera.matrix - POSE.matrix).max() < 1e-15
     assert np.array_equal(again.flange_from_camera.covariance, POSE.covariance)
-    assert (again.residuals, again.provenance) == ({"rms_px": 0.1}, {"method": "made up"})
+    assert (again.residuals, again.provenance) == (Residuals(rms_px=0.1), {"method": "made up"})
     assert again.region == more["region"]
 
 
@@ -64,6 +65,14 @@ def test_a_rotation_moves_a_distant_origin() -> None:
         ({"provenance": {"notes": [1.0, float("nan")]}}, r"c.json, provenance, notes, 1: number is not finite \(nan\)"),
         ({"camera_std": {"fx": float("inf")}}, "c.json, camera_std, fx: number is not finite"),
         ({"residuals": [1]}, "c.json, residuals: is not made of names and values"),
+        ({"residuals": {"rms_px": "small"}}, "c.json, residuals, rms_px: is not of its kind"),
+        ({"residuals": {"views_used": True}}, "c.json, residuals, views_used: is not of its kind"),
+        ({"residuals": {"boards": {}}}, "c.json, residuals, boards: is not of its kind"),
+        ({"residuals": {"rig_correlation": {"names": ["fx"], "matrix": [1]}}}, "rig_correlation: is not of its kind"),
+        (
+            {"residuals": {"rig_correlation": {"names": ["x", "y"], "matrix": [[1, 0], [1]]}}},
+            "rig_correlation: is not of its kind",
+        ),
         ({"region": {"width": 640, "height": 0}}, "c.json, region: sensor region is impossible"),
         ({"format": "koala-scene"}, "is not a koala-calibration file"),
         ({"version": 2}, "version 2 cannot be read"),
@@ -95,14 +104,6 @@ def test_errors_of_the_links_come_back_and_move_the_camera(tmp_path: Path) -> No
     assert np.array_equal(Calibration(CAMERA, {}, POSE).camera_pose(reported, joints), reported @ POSE.matrix)
 
 
-def test_joint_offsets_of_older_files_are_read(tmp_path: Path) -> None:
-    Calibration(CAMERA, {}, POSE).save(tmp_path / "c.json")
-    older = {"joint_offsets": {"offsets_rad": [0.0, 1e-3, 0.0, 0.0, 0.0, 0.0], "std_rad": [0.0, *[1e-4] * 4, 0.0]}}
-    (tmp_path / "c.json").write_text(json.dumps(json.loads((tmp_path / "c.json").read_text()) | older))
-    found = Calibration.load(tmp_path / "c.json").link_errors
-    assert found is not None and found.only_joints and found.joints[0][1] == 1e-3 and len(found.errors) == 24
-
-
 def test_impossible_errors_of_the_links_are_refused(tmp_path: Path) -> None:
     Calibration(CAMERA, {}, POSE, link_errors=LinkErrors(np.full(24, 2.0), np.zeros(24))).save(tmp_path / "c.json")
     with pytest.raises(DatasetError, match="errors of the links are not credible"):
@@ -111,15 +112,6 @@ def test_impossible_errors_of_the_links_are_refused(tmp_path: Path) -> None:
     del content["link_errors"]["a_m"]
     (tmp_path / "c.json").write_text(json.dumps(content))
     with pytest.raises(DatasetError, match="errors of the links are not complete"):
-        Calibration.load(tmp_path / "c.json")
-
-
-@pytest.mark.parametrize("offsets", [{"offsets_rad": [0.1] * 6}, {"offsets_rad": [10.0] * 6, "std_rad": [0.0] * 6}, [1, 2]])
-def test_impossible_joint_offsets_are_refused(tmp_path: Path, offsets: object) -> None:
-    Calibration(CAMERA, {}, POSE).save(tmp_path / "c.json")
-    content = json.loads((tmp_path / "c.json").read_text()) | {"joint_offsets": offsets}
-    (tmp_path / "c.json").write_text(json.dumps(content))
-    with pytest.raises(DatasetError, match=r"(joint offsets|errors of the links) are not"):
         Calibration.load(tmp_path / "c.json")
 
 

@@ -62,13 +62,13 @@ def in_process(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict:
 
 
 @pytest.mark.parametrize("layout", [name for name in WRITERS if name != "koala"])
-def test_convert_reaches_every_layout_and_comes_back(
+def test_export_reaches_every_layout_and_comes_back(
     saved: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], layout: str
 ) -> None:
     sizes = ["--sizes", "2,4"] if layout in SIZED else []
-    assert in_process(capsys, "convert", saved, "--format", layout, "--out", tmp_path / "out", *sizes)["views"] == 9
+    assert in_process(capsys, "export", saved, "--format", layout, "--out", tmp_path / "out", *sizes)["views"] == 9
     source = layout.replace("-text", "").replace("mipnerf360", "colmap")
-    back = in_process(capsys, "convert", tmp_path / "out", "--from", source, "--format", "koala", "--out", tmp_path / "back")
+    back = in_process(capsys, "export", tmp_path / "out", "--from", source, "--format", "koala", "--out", tmp_path / "back")
     assert back["views"] == 9 and back["limits"] == ""
     assert bool(sizes) == (tmp_path / "out" / "images_4").is_dir() or layout == "mipnerf360"
 
@@ -77,20 +77,24 @@ def test_scenes_from_scenes(saved: Path, tmp_path: Path, capsys: pytest.CaptureF
     def done(*arguments: object) -> dict:
         return in_process(capsys, *arguments)
 
-    assert done("subset", saved, "--every", 2, "--out", tmp_path / "a")["views"] == {"train": 2, "val": 0, "test": 3}
-    assert done("subset", saved, "--splits", "train", "--out", tmp_path / "b")["views"] == {"train": 6, "val": 0, "test": 0}
-    assert done("split", saved, "--every", 3, "--out", tmp_path / "c")["views"] == {"train": 6, "val": 0, "test": 3}
+    assert done("edit", saved, "--every", 2, "--out", tmp_path / "a")["views"] == {"train": 2, "val": 0, "test": 3}
+    assert done("edit", saved, "--splits", "train", "--out", tmp_path / "b")["views"] == {"train": 6, "val": 0, "test": 0}
+    assert done("edit", saved, "--hold-out", 3, "--out", tmp_path / "c")["views"] == {"train": 6, "val": 0, "test": 3}
     assert done("merge", tmp_path / "a", tmp_path / "b", "--out", tmp_path / "d")["views"] == {"train": 8, "val": 0, "test": 3}
-    assert done("downscale", saved, "--factor", 3, "--out", tmp_path / "e")["sizes"] == [[32, 24]]
-    assert done("undistort", saved, "--out", tmp_path / "f")["sizes"] == [[96, 72]]
-    box = ["--left", 8, "--top", 4, "--width", 50, "--height", 40]
-    assert done("crop", saved, *box, "--out", tmp_path / "g")["sizes"] == [[50, 40]]
+    assert done("edit", saved, "--downscale", 3, "--out", tmp_path / "e")["sizes"] == [[32, 24]]
+    assert done("edit", saved, "--undistort", "--out", tmp_path / "f")["sizes"] == [[96, 72]]
+    assert done("edit", saved, "--crop", 8, 4, 50, 40, "--out", tmp_path / "g")["sizes"] == [[50, 40]]
+    several = ["--every", 3, "--test", "00[36]", "--downscale", 2, "--crop", 8, 4, 50, 40]
+    found = done(
+        "edit", saved, *several, "--out", tmp_path / "h"
+    )  # cut first, then made smaller, in whatever order it is asked for
+    assert found["sizes"] == [[25, 20]] and found["views"] == {"train": 1, "val": 0, "test": 2}
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]  # nothing temporary is left
     from koala3d.datasets.core.errors import UsageError
 
-    for wrong in (("subset", saved, "--splits", "exam"), ("convert", saved, "--format", "koala", "--sizes", "2,x")):
+    for wrong in (("edit", saved, "--splits", "exam"), ("export", saved, "--format", "koala", "--sizes", "2,x")):
         with pytest.raises(UsageError):
-            done(*wrong, "--out", tmp_path / "h")
+            done(*wrong, "--out", tmp_path / "i")
 
 
 def test_names_are_looked_up_in_the_data_root_first(saved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -191,5 +195,5 @@ def test_the_documentation_names_commands_and_options_that_exist() -> None:
     for _, name, *words in lines:
         known = {option for parameter in group.commands[name].params for option in parameter.opts}
         assert {word for word in words if word.startswith("--")} <= known, name
-    shown = {words[1] for words in lines} | {"export", "truth", "bench", "bench-check", "bench-reading"}
+    shown = {words[1] for words in lines} | {"truth"}
     assert shown == set(group.commands)  # nothing is left out

@@ -75,3 +75,9 @@ def test_checked_corrects_rounding_only(matrix: np.ndarray) -> None:
     rounded = pose.checked(matrix.round(6), where="here")
     assert np.abs(rounded - matrix).max() < 1e-5
     assert np.abs(rounded[:3, :3] @ rounded[:3, :3].T - np.eye(3)).max() < EXACT
+
+
+@given(vectors, vectors)
+def test_cross_is_the_matrix_of_the_cross_product(a: tuple, b: tuple) -> None:
+    assert np.abs(pose.cross(a) @ b - np.cross(a, b)).max() < EXACT
+    assert pose.cross([a, b]).shape == (2, 3, 3) and np.array_equal(pose.cross([a, b])[1], pose.cross(b))

@@ -226,7 +226,7 @@ WRONG = (
     "reconstruct trian SCENE --out RUN",
     "reconstruct train --out",
     "calib handeye REC",
-    "datasets convert SCENE --out X",
+    "datasets export SCENE --out X",
     "reconstruct mesh RUN --out M --resolution many",
     "capture --dbg run T",
 )

@@ -27,8 +27,8 @@ def of_recording(fixture: Fixture, out: Path) -> Path:
 
 
 def of_calibration(fixture: Fixture, out: Path) -> Path:
+    from koala3d.calib.advice.simulate import KOALA
     from koala3d.calib.page import report
-    from koala3d.calib.study.simulate import KOALA
     from tests.calib.page.test_report import evidence_of
 
     report.page(evidence_of(Calibration(KOALA.camera, {}))).write(out / "page.html")

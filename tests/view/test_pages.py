@@ -16,6 +16,7 @@ from koala3d.datasets.calibration import Calibration, UncertainPose
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.formats import koala
 from koala3d.datasets.page import open_page, shapes
+from koala3d.datasets.residuals import Residuals
 from koala3d.datasets.scene import Scene
 from tests.browser import Browse
 
@@ -122,7 +123,7 @@ def test_a_calibration_shows_its_target_and_what_is_missing(browse: Browse) -> N
     known = UncertainPose(pose.from_rotation_vector([np.pi, 0, 0], [0.3, 0.1, 0.0]), np.diag([1e-9] * 3 + [1e-8] * 3))
     size = {"squares_x": 9, "squares_y": 7, "square_length_m": 0.03, "marker_length_m": 0.022}
     board = {"type": "charuco", **size, "dictionary": "DICT_5X5_100"}
-    residuals = {"rms_px": 0.03, "corners": 100, "views_used": 9, "coverage": 0.7}
+    residuals = Residuals(rms_px=0.03, corners=100, views_used=9, coverage=0.7)
     provenance = {"board": board, "recording": "/nowhere"}
     camera = Camera(960, 540, 640.0, 640.0, 480.0, 270.0)
     calibration = Calibration(camera, {"fx": 0.1}, known, known, residuals=residuals, provenance=provenance)

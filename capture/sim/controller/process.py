@@ -64,7 +64,7 @@ class SimulatedController(ControllerHandle):
             hangs: whether the base's z axis points to the ground.
             home: (6,) joint angles at the start [rad].
             host: loopback address; empty: a free one.
-            model: which arm it is, by the name or the file of `capture.arms`.
+            model: which arm it is, by the name or the file of `capture.model.arm`.
 
         Raises:
             UsageError: `host` is no loopback address; nothing simulated listens to other computers.

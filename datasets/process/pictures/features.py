@@ -1,20 +1,18 @@
 """Features of one picture: places that can be found again in other pictures, their descriptors and their colours.
 
-SIFT in a picture of at most `SIDE` pixels. Descriptors are normalised as COLMAP's, so that its matcher takes them: the root of
-the histogram divided by its sum (Arandjelović and Zisserman 2012), times 512.
+SIFT in a picture of at most `SIDE` pixels. Descriptors are stored as COLMAP's, so that its matcher takes them: times 512.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.datasets import conventions
 from koala3d.datasets.core import arrays, files
 from koala3d.datasets.core.errors import DatasetError
-from koala3d.datasets.imaging import images
+from koala3d.datasets.imaging import images, sift
 from koala3d.datasets.process.pictures import markers
 from koala3d.datasets.process.pictures.markers import Marker
 
@@ -22,12 +20,10 @@ SIDE = 1200
 """Longest side of the pictures that are searched [px]."""
 COUNT = 4000
 """Features per picture; those of the highest contrast are kept."""
-PEAK = 0.02
-"""Least contrast of a feature, times the number of layers per octave."""
 
 
 @dataclass(frozen=True, eq=False)
-class Features:
+class PictureFeatures:
     """Features of one picture, in the pixels of the smaller picture that was searched."""
 
     width: int
@@ -50,7 +46,7 @@ class Features:
             np.savez(temporary, allow_pickle=False, **content)
 
     @classmethod
-    def load(cls, path: Path) -> "Features":
+    def load(cls, path: Path) -> "PictureFeatures":
         """Read `save`'s file. Raises DatasetError where it is damaged."""
         stored = arrays.read_npz(path)
         try:
@@ -62,36 +58,34 @@ class Features:
             raise DatasetError("features are not complete", where=path, why=str(error), remedy="remove it") from None
 
 
-def detect(path: Path) -> Features:
+def detect(path: Path) -> PictureFeatures:
     """Features and markers of an image file; where it has an alpha, only where that is opaque. Raises as `images.read` does."""
+    picture, mask = _searched(path)
+    return replace(detect_in(picture, mask), markers=tuple(markers.detect(_grey(picture))))
+
+
+def detect_in(picture: NDArray[np.uint8], mask: NDArray[np.uint8] | None) -> PictureFeatures:
+    """Features of a (height, width, 3) picture, if there is a mask only where it is white."""
+    height, width = picture.shape[:2]
+    found = sift.keypoints(_grey(picture), mask, COUNT)
+    order = np.argsort(-found.contrast, kind="stable")
+    descriptors = np.rint(512 * found.descriptors[order]).clip(0, 255).astype(np.uint8)
+    colours = picture[found.inside(width, height)][order]
+    return PictureFeatures(width, height, found.pixels[order].astype(np.float32), descriptors, colours, ())
+
+
+def _grey(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
     import cv2
 
-    picture, mask = _searched(path)
-    height, width = picture.shape[:2]
-    grey = np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), np.uint8)
-    sift = cv2.SIFT.create(COUNT, 3, PEAK, 10.0, 1.6, cv2.CV_32F, True)  # True: no bias of a quarter of a pixel
-    keypoints, descriptors = sift.detectAndCompute(grey, mask)
-    seen = tuple(markers.detect(grey))
-    if descriptors is None:
-        nothing = np.zeros((0, 128), np.uint8)
-        return Features(width, height, np.zeros((0, 2), np.float32), nothing, nothing[:, :3], seen)
-    order = np.argsort([-point.response for point in keypoints], kind="stable")
-    places, descriptors = np.array([point.pt for point in keypoints])[order], descriptors[order]
-    column, row = np.rint(places).astype(int).clip(0, [width - 1, height - 1]).T
-    root = 512 * np.sqrt(descriptors / np.maximum(descriptors.sum(1, keepdims=True), 1e-12))
-    pixels = conventions.pixels_from_opencv(places).astype(np.float32)
-    return Features(width, height, pixels, np.rint(root).clip(0, 255).astype(np.uint8), picture[row, column], seen)
+    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), np.uint8)
 
 
 def markers_of(path: Path) -> tuple[Marker, ...]:
     """Printed markers in an image file, in its own pixels. Raises as `images.read` does."""
-    import cv2
-
     picture, _ = _searched(path)
     width, height = images.size(path)
     ratio = np.array([width / picture.shape[1], height / picture.shape[0]])
-    seen = markers.detect(np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), np.uint8))
-    return tuple(Marker(marker.kind, marker.corners * ratio) for marker in seen)
+    return tuple(Marker(marker.kind, marker.corners * ratio) for marker in markers.detect(_grey(picture)))
 
 
 def _searched(path: Path) -> tuple[NDArray[np.uint8], NDArray[np.uint8] | None]:

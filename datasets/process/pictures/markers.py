@@ -40,7 +40,7 @@ class Marker:
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
+class PlacedMarker:
     """A marker in the world."""
 
     kind: str
@@ -80,7 +80,7 @@ def _detector() -> Any:
     return cv2.aruco.ArucoDetector(dictionaries, settings)
 
 
-def place(views: Sequence[View], seen: Mapping[str, Sequence[Marker]]) -> list[Placed]:
+def place(views: Sequence[View], seen: Mapping[str, Sequence[Marker]]) -> list[PlacedMarker]:
     """The markers that several views agree on, the one seen by most first. `seen` holds each view's markers by its name."""
     sightings = defaultdict(list)
     for view in views:
@@ -92,7 +92,7 @@ def place(views: Sequence[View], seen: Mapping[str, Sequence[Marker]]) -> list[P
     return sorted((marker for marker in placed if marker is not None), key=lambda marker: -marker.seen)
 
 
-def _placed(kind: str, pairs: list[tuple[View, NDArray[np.float64]]]) -> Placed | None:
+def _placed(kind: str, pairs: list[tuple[View, NDArray[np.float64]]]) -> PlacedMarker | None:
     """A marker from the views that saw it; None where they do not agree on a square."""
     while len(pairs) >= FEWEST:
         places = [meeting_point([(view, pixels[corner]) for view, pixels in pairs]) for corner in range(4)]
@@ -101,7 +101,7 @@ def _placed(kind: str, pairs: list[tuple[View, NDArray[np.float64]]]) -> Placed 
         corners = np.stack([place for place in places if place is not None])
         errors = [_error(view, corners, pixels) for view, pixels in pairs]
         if max(errors) <= ERROR_PX:
-            return Placed(kind, corners, len(pairs)) if _is_square(corners) else None
+            return PlacedMarker(kind, corners, len(pairs)) if _is_square(corners) else None
         del pairs[int(np.argmax(errors))]
     return None
 

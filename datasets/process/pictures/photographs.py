@@ -32,7 +32,7 @@ class Photograph:
 
 
 @dataclass(frozen=True)
-class Found:
+class Photographs:
     """The photographs of a folder."""
 
     photographs: tuple[Photograph, ...]
@@ -42,7 +42,7 @@ class Found:
     """Names of the files that are no pictures."""
 
 
-def find(folder: Path) -> Found:
+def find(folder: Path) -> Photographs:
     """The pictures of a folder, their headers read.
 
     Raises:
@@ -69,7 +69,7 @@ def find(folder: Path) -> Found:
     if len(photographs) < FEWEST:
         why = f"{len(damaged)} of {len(paths)} pictures cannot be read, such as {next(iter(damaged))}"
         raise UsageError("too few pictures can be read", where=folder, why=why, remedy="copy them again")
-    return Found(tuple(photographs), damaged, tuple(path.name for path in inside if path not in paths))
+    return Photographs(tuple(photographs), damaged, tuple(path.name for path in inside if path not in paths))
 
 
 def cameras(photographs: tuple[Photograph, ...], sharing: str) -> list[int]:

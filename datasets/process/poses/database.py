@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.core.progress import Count, ignore
-from koala3d.datasets.process.pictures.features import Features
+from koala3d.datasets.process.pictures.features import PictureFeatures
 from koala3d.datasets.process.pictures.photographs import Photograph
 from koala3d.datasets.process.poses.pairs import Pairs
 
@@ -29,6 +29,10 @@ FEWEST_MATCHES = 15
 """Smallest number of matches of one geometry between two pictures."""
 
 
+Lens = tuple[str, list[float], bool]
+"""COLMAP's name of a lens model, its parameters, and whether the focal length is known."""
+
+
 @dataclass(frozen=True)
 class Picture:
     """A picture as the database has it."""
@@ -40,7 +44,7 @@ class Picture:
     photograph: Photograph
     camera: int
     """Pictures of one camera share its number."""
-    features: Features
+    features: PictureFeatures
 
 
 def require_library() -> None:
@@ -48,15 +52,18 @@ def require_library() -> None:
     import pycolmap  # noqa: F401
 
 
-def write(path: Path, pictures: Sequence[Picture]) -> None:
-    """Write a new database with cameras and features, atomically. Its pixels are those of the pictures that were searched."""
+def write(path: Path, pictures: Sequence[Picture], lens: Lens | None = None) -> None:
+    """Write a new database with cameras and features, atomically. Its pixels are those of the pictures that were searched.
+
+    `lens`: COLMAP's name and parameters of the lens if it is known; else each camera's is guessed.
+    """
     import pycolmap
 
     with files.atomic_path(path) as temporary, pycolmap.Database.open(temporary) as stored:
         rigs = {}
         for picture in pictures:
             if picture.camera not in rigs:
-                rigs[picture.camera] = _write_camera(stored, picture)
+                rigs[picture.camera] = _write_camera(stored, picture, lens or _guessed(picture))
             camera_id, rig_id = rigs[picture.camera]
             image_id = stored.write_image(pycolmap.Image(name=picture.file, camera_id=camera_id))
             assert image_id == picture.number
@@ -68,15 +75,20 @@ def write(path: Path, pictures: Sequence[Picture]) -> None:
             stored.write_descriptors(image_id, pycolmap.FeatureDescriptors(kind, picture.features.descriptors))
 
 
-def _write_camera(stored: "pycolmap.Database", picture: Picture) -> tuple[int, int]:
+def _guessed(picture: Picture) -> Lens:
+    """The lens that a photograph's header states, or a usual one."""
+    width, height, photograph = picture.features.width, picture.features.height, picture.photograph
+    stated = photograph.focal_px * width / photograph.width if photograph.focal_px else None
+    return "SIMPLE_RADIAL", [stated or GUESS * max(width, height), width / 2, height / 2, 0.0], stated is not None
+
+
+def _write_camera(stored: "pycolmap.Database", picture: Picture, lens: Lens) -> tuple[int, int]:
     """Numbers of a new camera and of the rig that it is alone on."""
     import pycolmap
 
-    width, height, stated = picture.features.width, picture.features.height, picture.photograph.focal_px
-    focal = stated * width / picture.photograph.width if stated else GUESS * max(width, height)
-    values = [focal, width / 2, height / 2, 0.0]
-    camera = pycolmap.Camera(model="SIMPLE_RADIAL", width=width, height=height, params=values)
-    camera.has_prior_focal_length = stated is not None
+    model, values, is_known = lens
+    camera = pycolmap.Camera(model=model, width=picture.features.width, height=picture.features.height, params=values)
+    camera.has_prior_focal_length = is_known
     camera.camera_id = stored.write_camera(camera)
     rig = pycolmap.Rig()
     rig.add_ref_sensor(camera.sensor_id)

@@ -6,7 +6,7 @@ from itertools import combinations
 import numpy as np
 
 from koala3d.datasets.core.progress import Step, ignore
-from koala3d.datasets.process.pictures.features import Features
+from koala3d.datasets.process.pictures.features import PictureFeatures
 
 Pairs = list[tuple[int, int]]
 
@@ -23,7 +23,7 @@ RATIO = 0.8
 """A match must be this much nearer than the second best (Lowe 2004, section 7.1)."""
 
 
-def choose(features: Sequence[Features], kind: str, *, in_order: bool, done: Step = ignore) -> Pairs:
+def choose(features: Sequence[PictureFeatures], kind: str, *, in_order: bool, done: Step = ignore) -> Pairs:
     """Pairs of indices, the first smaller than the second.
 
     Args:
@@ -47,7 +47,7 @@ def neighbours(count: int) -> Pairs:
     return [(i, i + step) for i in range(count) for step in steps if i + step < count]
 
 
-def alike(features: Sequence[Features], *, done: Step = ignore) -> Pairs:
+def alike(features: Sequence[PictureFeatures], *, done: Step = ignore) -> Pairs:
     """Pairs whose strongest features match: a quick look that spares most pairs the full matching."""
     strongest = []
     for found in features:

@@ -77,7 +77,7 @@ def align(scene: Scene, seen: Mapping[str, Sequence[Marker]], wishes: Wishes) ->
     return Aligned(moved(scene, world, metric=scene.metric or scale_from is not None), scale_from, up_from, hint)
 
 
-def _upright(scene: Scene, placed: Sequence[markers.Placed], kind: str) -> tuple[Similarity, str | None]:
+def _upright(scene: Scene, placed: Sequence[markers.PlacedMarker], kind: str) -> tuple[Similarity, str | None]:
     """The motion that makes z up, with the origin where the cameras look, on the ground where there is one; and the evidence."""
     if kind == "none":
         return Similarity(), None

@@ -40,9 +40,7 @@ def compared(scene: Scene, reference: Scene) -> Difference:
         raise UsageError("scenes cannot be compared", where=scene.name, why=why, remedy=remedy)
     given, wanted = (np.stack([pair[k].world_from_camera for pair in both]) for k in (0, 1))
     fit = between(given[:, :3, 3], wanted[:, :3, 3])
-    focus, spread = bounds.focus(wanted)
-    focus = focus if spread > bounds.PARALLEL else reference.box.mean(0)
-    distance = float(np.median(np.linalg.norm(wanted[:, :3, 3] - focus, axis=1)))
+    distance = float(np.median(np.linalg.norm(wanted[:, :3, 3] - bounds.middle(wanted, reference.box), axis=1)))
     shift = np.linalg.norm(fit.points(given[:, :3, 3]) - wanted[:, :3, 3], axis=1) / distance
     turned = fit.rotation @ given[:, :3, :3]
     u, _, vt = np.linalg.svd((wanted[:, :3, :3] @ turned.swapaxes(1, 2)).sum(0))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from koala3d.datasets import pose
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import DatasetError, UsageError, nearest
-from koala3d.datasets.process.pictures.markers import Placed
+from koala3d.datasets.process.pictures.markers import PlacedMarker
 from koala3d.datasets.process.world import similarity
 from koala3d.datasets.process.world.similarity import Similarity
 from koala3d.datasets.scene import View
@@ -46,7 +46,7 @@ class KnownLength:
         return cls((_parsed(first), _parsed(second)), length_m)
 
 
-def by_markers(placed: Sequence[Placed], side_m: float) -> tuple[float, str]:
+def by_markers(placed: Sequence[PlacedMarker], side_m: float) -> tuple[float, str]:
     """Metres per unit, and the evidence, from markers whose printed side is `side_m`. Raises UsageError where there is none."""
     if not placed:
         why = "no printed marker was found that three pictures agree on"

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.datasets.process.pictures.markers import Placed
+from koala3d.datasets.process.pictures.markers import PlacedMarker
 from koala3d.datasets.scene import View
 
 Array = NDArray[np.float64]
@@ -76,7 +76,7 @@ def _fitted(points: Array, normal: Array, place: Array, thickness: float) -> tup
     return normal, place, share
 
 
-def by_markers(placed: Sequence[Placed]) -> tuple[Array, str] | None:
+def by_markers(placed: Sequence[PlacedMarker]) -> tuple[Array, str] | None:
     """(3,) mean normal of the markers, and the evidence; None where there is none, or they face different ways."""
     if not placed:
         return None

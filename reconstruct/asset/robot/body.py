@@ -56,7 +56,7 @@ def make(
     Raises UsageError: the scene is not in metres.
     """
     if not trained.scene.metric:
-        remedy = "give the scene a unit: datasets align SCENE --help; then train again"
+        remedy = "give the scene a unit: datasets edit SCENE --help; then train again"
         raise UsageError("the scene is not in metres", where=trained.scene.name, why="mass and inertia need them", remedy=remedy)
     import coacd  # noqa: F401  is missed before minutes of work, not after
 

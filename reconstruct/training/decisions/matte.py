@@ -7,7 +7,7 @@ light. Reflections move over the surface, change with the view, or meet behind a
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.datasets.structure.matching import SIDE, Features, Matches, shrunk
+from koala3d.datasets.structure.matching import SIDE, Matches, ViewFeatures, shrunk
 from koala3d.datasets.structure.triangulate import meeting_places
 
 ALIKE = 0.1
@@ -61,7 +61,7 @@ def matte_features(matches: Matches, box: NDArray[np.float64]) -> list[NDArray[n
     return kept
 
 
-def _log_light(features: Features, index: NDArray[np.int64]) -> NDArray[np.float64]:
+def _log_light(features: ViewFeatures, index: NDArray[np.int64]) -> NDArray[np.float64]:
     return np.log(features.light[index].astype(np.float64) + DARK)
 
 

@@ -3,18 +3,19 @@ import pytest
 
 from koala3d.calib.advice import hints, information
 from koala3d.calib.advice.adviser import Adviser, Wanted
+from koala3d.calib.advice.patterns import ViewRange, viewpoints
+from koala3d.calib.advice.rehearsal import Rehearsed, draw_rig
+from koala3d.calib.advice.simulate import KOALA
 from koala3d.calib.errors import CalibrationError, Unobservable
 from koala3d.calib.sessions.session import TargetSession
-from koala3d.calib.study.rehearsal import Rehearsed, draw_rig
-from koala3d.calib.study.simulate import KOALA, Pattern, viewpoints
 from koala3d.datasets import pose
 from koala3d.datasets.advice import Question
 
-NEAR = Pattern((20.0, 50.0), (0.25, 0.4), shift_m=0.05)
+NEAR = ViewRange((20.0, 50.0), (0.25, 0.4), shift_m=0.05)
 UNTIL = (0.05, 0.01)
 
 
-def flanges(count: int, seed: int = 0, pattern: Pattern = NEAR) -> np.ndarray:
+def flanges(count: int, seed: int = 0, pattern: ViewRange = NEAR) -> np.ndarray:
     return viewpoints(np.random.default_rng(seed), KOALA, count, pattern) @ pose.inverse(KOALA.flange_from_camera)
 
 
@@ -84,7 +85,7 @@ def test_views_that_do_not_fit_together_are_refused(rehearsed):
 def test_hints_name_what_helps_and_how_many_views_would_do():
     flat = Rehearsed(UNTIL)
     flat(Question(rehearse=3))
-    answer = flat(Question(flown=flanges(14, 1, Pattern((0.0, 15.0), (0.35, 0.45))), finish=True))
+    answer = flat(Question(flown=flanges(14, 1, ViewRange((0.0, 15.0), (0.35, 0.45))), finish=True))
     known, found = flat.adviser.known, answer.hints
     assert known is not None and answer.figures is not None
     assert any(line.startswith("more tilt") for line in found) and any(line.startswith("nearer views") for line in found)

@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 
 from koala3d.calib.advice import information
-from koala3d.calib.advice.information import Known
+from koala3d.calib.advice.information import Knowledge
+from koala3d.calib.advice.patterns import ViewRange, viewpoints
+from koala3d.calib.advice.simulate import KOALA
 from koala3d.calib.handeye import model, refine
-from koala3d.calib.handeye.model import Accuracy, Session, State
+from koala3d.calib.handeye.model import Accuracy, Measurements, State
 from koala3d.calib.handeye.refine import Sigmas
 from koala3d.calib.intrinsics import projection
-from koala3d.calib.study.simulate import KOALA, Pattern, viewpoints
 from koala3d.datasets import pose
 from koala3d.datasets.calibration import UncertainPose
 
@@ -18,13 +19,13 @@ SIGMAS = Sigmas(0.1, 5e-5, 2e-4)
 
 
 @pytest.fixture(scope="module")
-def known() -> Known:
+def known() -> Knowledge:
     state = State(projection.vector(KOALA.camera), KOALA.flange_from_camera, KOALA.base_from_board, np.zeros((1, 6)))
-    return Known(KOALA.camera, KOALA.board, FREE, state, SIGMAS, np.eye(20))
+    return Knowledge(KOALA.camera, KOALA.board, FREE, state, SIGMAS, np.eye(20))
 
 
 def flanges(count: int) -> np.ndarray:
-    return viewpoints(np.random.default_rng(0), KOALA, count, Pattern()) @ pose.inverse(KOALA.flange_from_camera)
+    return viewpoints(np.random.default_rng(0), KOALA, count, ViewRange()) @ pose.inverse(KOALA.flange_from_camera)
 
 
 def test_each_view_tells_what_the_refinement_says_of_it_alone(known):
@@ -32,7 +33,7 @@ def test_each_view_tells_what_the_refinement_says_of_it_alone(known):
     told = information.informations(known, flown)
     for index in (0, 7, len(flown) - 1):
         points = KOALA.board.points
-        session = Session(flown[index][None], np.zeros(len(points), np.int64), np.zeros((len(points), 2)), points, FREE)
+        session = Measurements(flown[index][None], np.zeros(len(points), np.int64), np.zeros((len(points), 2)), points, FREE)
         session = replace(session, accuracy=Accuracy(SIGMAS.translation_m, SIGMAS.rotation_rad))
         pixels = model.predict(session, known.state)[0]
         seen = replace(session, pixels=pixels).some(information.inside_image(pixels, KOALA.camera))

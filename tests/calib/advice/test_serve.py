@@ -3,8 +3,8 @@ from pathlib import Path
 
 import numpy as np
 
+from koala3d.calib.advice.rehearsal import Rehearsed
 from koala3d.calib.advice.serve import CALIBRATION, Recorded, serve
-from koala3d.calib.study.rehearsal import Rehearsed
 from koala3d.datasets import pose
 from koala3d.datasets.advice import Answer, Question
 from koala3d.datasets.calibration import Calibration

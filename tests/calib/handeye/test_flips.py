@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from koala3d.calib import calibrate
+from koala3d.calib.advice.patterns import ViewRange, viewpoints
+from koala3d.calib.advice.simulate import KOALA, simulate, target_session
 from koala3d.calib.handeye import flips
 from koala3d.calib.handeye.model import Accuracy
 from koala3d.calib.intrinsics import estimate
-from koala3d.calib.study import variants
-from koala3d.calib.study.simulate import KOALA, Pattern, simulate, viewpoints
+from koala3d.calib.sessions.session import TargetSession
 from koala3d.datasets import pose
 from koala3d.datasets.targets.board import Board
 
@@ -19,8 +20,8 @@ AMBIGUOUS = replace(KOALA, board=Board.of("chessboard", 9, 7, 0.03))
 def spoilt(seed, roll=(-180.0, 180.0)):
     """(simulated, session in which every second view is read upside down, which)."""
     rng = np.random.default_rng([4, seed])
-    simulated = simulate(rng, AMBIGUOUS, viewpoints(rng, AMBIGUOUS, 14, Pattern(roll_deg=roll)), sigma_px=0.1, arm=ARM)
-    session, turned = variants.target_session(simulated), rng.random(14) < 0.5
+    simulated = simulate(rng, AMBIGUOUS, viewpoints(rng, AMBIGUOUS, 14, ViewRange(roll_deg=roll)), sigma_px=0.1, arm=ARM)
+    session, turned = target_session(simulated), rng.random(14) < 0.5
     points = AMBIGUOUS.board.points
     last = len(points) - 1
     observations = [
@@ -48,7 +49,7 @@ def test_hand_eye_of_an_ambiguous_board_is_right():
     found = calibrate.calibrate_handeye(session, accuracy=ARM)
     distance, angle = pose.difference(found.flange_from_camera.matrix, simulated.truth.mount_from_camera)
     assert distance < 4e-4 and np.rad2deg(angle) < 0.08  # five times the stated deviation
-    assert found.residuals["views_left_out"] == []
+    assert found.residuals.views_left_out == []
 
 
 def test_half_a_turn_maps_the_board_to_itself():
@@ -60,6 +61,6 @@ def test_half_a_turn_maps_the_board_to_itself():
 
 def test_other_boards_are_left_alone(simulate):
     simulated = simulate(seed=3, views=8)
-    session = variants.TargetSession(simulated.board, 960, 600, tuple(simulated.observations), simulated.reported)
+    session = TargetSession(simulated.board, 960, 600, tuple(simulated.observations), simulated.reported)
     boards = estimate.camera_from_boards(simulated.camera, session.observations)
     assert flips.resolve(session, boards)[0] is session

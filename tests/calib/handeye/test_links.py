@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from koala3d.calib import calibrate
+from koala3d.calib.advice.patterns import ViewRange, viewpoints
+from koala3d.calib.advice.simulate import KOALA
 from koala3d.calib.errors import CalibrationError
 from koala3d.calib.handeye import links, model, uncertainty, verify
 from koala3d.calib.handeye.model import Accuracy, State
 from koala3d.calib.intrinsics import projection
 from koala3d.calib.page import summary
 from koala3d.calib.sessions.session import TargetSession
-from koala3d.calib.study.simulate import KOALA, Pattern, viewpoints
 from koala3d.calib.targets.detection import Observation
 from koala3d.capture.model.arm import load_arm
 from koala3d.datasets import kinematics, pose
@@ -29,7 +30,7 @@ BUILT = kinematics.UR5E.calibrated(np.random.default_rng(1), 5e-4, 5e-4)
 
 def reached(seed, views):
     """(views, 6) joint angles with which the nominal arm looks at the board from many sides."""
-    rng, pattern = np.random.default_rng([8, seed]), Pattern((5.0, 40.0))
+    rng, pattern = np.random.default_rng([8, seed]), ViewRange((5.0, 40.0))
     found = []
     while len(found) < views:
         camera = viewpoints(rng, RIG, 1, pattern)[0]
@@ -124,8 +125,8 @@ def test_links_that_were_built_otherwise_are_found_and_unseen_views_predicted():
     """An arm that reports by its drawing: with errors of all links estimated, as good as one that knows itself."""
     session = simulated(80, 30, np.zeros(6), reported=kinematics.UR5E)
     found = calibrated(session, replace(ARM, joint_rad=0.0, length_m=5e-4, angle_rad=5e-4))
-    assert found.residuals["held_out_mm"] < 0.3 * found.residuals["held_out_mm_without_link_errors"]
-    assert "d of link 2" in found.residuals["links_not_shown"]  # d of links 2, 3 and 4 lie along parallel axes
+    assert found.residuals.held_out_mm < 0.3 * found.residuals.held_out_mm_without_link_errors
+    assert "d of link 2" in found.residuals.links_not_shown  # d of links 2, 3 and 4 lie along parallel axes
     shown = found.link_errors.std < links.SHOWN * np.repeat(5e-4, 24)
     assert shown[found.link_errors.std > 0].sum() >= 8 and not found.link_errors.only_joints
     text = summary.describe_calibration(found)
@@ -163,8 +164,8 @@ def test_offsets_come_out_within_their_deviations_and_the_rig_with_them():
             if asked:
                 offsets, std = found.link_errors.joints
                 off.append((offsets - OFFSETS)[1:5] / std[1:5])
-                assert found.residuals["held_out_px"] < 0.6 * found.residuals["held_out_px_without_link_errors"]
-                assert offsets[0] == offsets[5] == 0 and found.residuals["links_not_shown"] == []
+                assert found.residuals.held_out_px < 0.6 * found.residuals.held_out_px_without_link_errors
+                assert offsets[0] == offsets[5] == 0 and found.residuals.links_not_shown == []
                 assert found.link_errors.only_joints
             else:
                 assert found.link_errors is None
@@ -187,7 +188,7 @@ def test_an_honest_arm_is_told_so():
     found = calibrated(session)
     offsets, std = found.link_errors.joints
     assert (np.abs(offsets[1:5]) < 4 * std[1:5]).all()
-    assert found.residuals["held_out_px"] > 0.95 * found.residuals["held_out_px_without_link_errors"]
+    assert found.residuals.held_out_px > 0.95 * found.residuals.held_out_px_without_link_errors
 
 
 def test_offsets_that_no_view_shows_stay_at_their_prior():
@@ -195,7 +196,7 @@ def test_offsets_that_no_view_shows_stay_at_their_prior():
     rng, angles = np.random.default_rng(4), np.repeat(reached(60, 1), 15, axis=0)
     angles[:, 3:] += rng.normal(0, 0.15, (15, 3))
     found = calibrated(simulated(60, 15, angles=angles))
-    assert found.residuals["links_not_shown"] == [f"offset of joint {number}" for number in (2, 3, 4)]
+    assert found.residuals.links_not_shown == [f"offset of joint {number}" for number in (2, 3, 4)]
     _, std = found.link_errors.joints
     np.testing.assert_allclose(std[1:4], ARM.joint_rad, rtol=0.05)
     assert std[4] < 0.5 * ARM.joint_rad
@@ -239,7 +240,7 @@ def test_unseen_views_over_ten_arms(off, gained):
         built = kinematics.UR5E.calibrated(np.random.default_rng([seed, 9]), off * 5e-4, off * np.deg2rad(0.05))
         session = simulated(500 + seed, 25, np.zeros(6), built=built, reported=kinematics.UR5E)
         found = calibrated(session, replace(ARM, joint_rad=0.0, length_m=5e-4, angle_rad=float(np.deg2rad(0.05))))
-        without.append(found.residuals["held_out_mm_without_link_errors"])
-        with_errors.append(found.residuals["held_out_mm"])
+        without.append(found.residuals.held_out_mm_without_link_errors)
+        with_errors.append(found.residuals.held_out_mm)
     print(f"\nlinks off by {0.5 * off} mm: {np.median(without):.3f} mm as reported, {np.median(with_errors):.3f} mm with errors")
     assert np.median(with_errors) < gained * np.median(without)

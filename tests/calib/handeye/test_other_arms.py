@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from koala3d.calib import calibrate
+from koala3d.calib.advice.patterns import ViewRange, viewpoints
+from koala3d.calib.advice.simulate import KOALA
 from koala3d.calib.errors import CalibrationError
 from koala3d.calib.handeye import links, model, uncertainty
 from koala3d.calib.handeye.model import Accuracy, State
 from koala3d.calib.intrinsics import projection
 from koala3d.calib.sessions.session import TargetSession
-from koala3d.calib.study.simulate import KOALA, Pattern, viewpoints
 from koala3d.calib.targets.detection import Observation
 from koala3d.capture.model.arm import ArmModel, load_arm
 from koala3d.datasets import kinematics, pose
@@ -26,7 +27,7 @@ def simulated(arm: ArmModel, offsets: np.ndarray, views: int, seed: int = 0, noi
     """An arm as built that looks at the board; it reports what its links give for the angles that it believes in."""
     rng, angles = np.random.default_rng([9, seed]), []
     while len(angles) < views:
-        camera = viewpoints(rng, RIG, 1, Pattern((5.0, 40.0)))[0]
+        camera = viewpoints(rng, RIG, 1, ViewRange((5.0, 40.0)))[0]
         branches = arm.inverse(camera @ pose.inverse(RIG.flange_from_camera))
         branches = branches[arm.inside(branches)]
         if len(branches):
@@ -83,7 +84,7 @@ def test_offsets_come_out_within_their_deviations(name: str) -> None:
     assert joints.shape == (arm.count,)
     off = (joints - offsets)[inner] / std[inner]
     assert np.abs(off).max() < 4
-    assert found.residuals["held_out_px"] < 0.8 * found.residuals["held_out_px_without_link_errors"]
+    assert found.residuals.held_out_px < 0.8 * found.residuals.held_out_px_without_link_errors
     corrected = found.camera_pose(session.base_from_flange, session.joints)
     errors = np.concatenate([np.zeros(3 * arm.count), offsets])
     truth = kinematics.corrected(session.base_from_flange, session.joints, errors, arm.links) @ RIG.flange_from_camera
@@ -104,5 +105,3 @@ def test_stored_offsets_keep_their_arm(tmp_path) -> None:
     assert again.only_joints
     reported = arm.forward(arm.home)
     np.testing.assert_allclose(again.corrected(reported, arm.home), arm.forward(arm.home + 1e-3), atol=1e-12)
-    older = {"offsets_rad": [1e-3] * 6, "std_rad": [1e-4] * 6}
-    assert LinkErrors.from_offsets(older, where="here").links is kinematics.UR5E

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from koala3d.calib import calibrate
+from koala3d.calib.advice.patterns import ViewRange, viewpoints
+from koala3d.calib.advice.simulate import KOALA, simulate
 from koala3d.calib.handeye.model import Accuracy
 from koala3d.calib.sessions.session import TargetSession
-from koala3d.calib.study.simulate import KOALA, Pattern, simulate, viewpoints
 from koala3d.datasets import pose
 from koala3d.datasets.targets.board import Board
 
@@ -21,7 +22,7 @@ VIEWS = 25
 def drawn(seed):
     """(simulated session, generator, five views to spoil)."""
     rng = np.random.default_rng([3, seed])
-    simulated = simulate(rng, RIG, viewpoints(rng, RIG, VIEWS, Pattern()), sigma_px=0.1, arm=ARM)
+    simulated = simulate(rng, RIG, viewpoints(rng, RIG, VIEWS, ViewRange()), sigma_px=0.1, arm=ARM)
     return simulated, rng, np.sort(rng.choice(VIEWS, VIEWS // 5, replace=False))
 
 
@@ -92,8 +93,8 @@ def test_wrong_views_are_named_and_do_no_harm(spoil):
     simulated, rng, bad = drawn(1)
     spoilt, bad = spoil(simulated, rng, bad)
     found = calibrate.calibrate_handeye(spoilt, accuracy=ARM)
-    assert found.residuals["views_left_out"] and set(found.residuals["views_left_out"]) == {f"{i:03d}" for i in bad}
-    assert all(found.residuals["why_left_out"][f"{i:03d}"] for i in bad)
+    assert found.residuals.views_left_out and set(found.residuals.views_left_out) == {f"{i:03d}" for i in bad}
+    assert all(found.residuals.why_left_out[f"{i:03d}"] for i in bad)
     distance, angle = pose.difference(found.flange_from_camera.matrix, without(tuple(bad)))
     # as if the wrong views had never been taken: a hundredth of the error itself
     assert distance < 5e-7 and np.rad2deg(angle) < 2e-4
@@ -108,7 +109,7 @@ def test_some_wrong_corners_in_a_view_are_left_out():
 
     spoilt, _ = change_corners(simulated, bad, change)
     found = calibrate.calibrate_handeye(spoilt, accuracy=ARM)
-    assert found.residuals["views_left_out"] == []
+    assert found.residuals.views_left_out == []
     millimetres, degrees = error(found, simulated)
     assert millimetres < 0.1 and degrees < 0.03  # three times the median of clean sessions
 
@@ -117,7 +118,7 @@ def test_an_honest_session_keeps_all_its_views():
     for seed in range(2):
         simulated, _, _ = drawn(10 + seed)
         found = calibrate.calibrate_handeye(session(simulated.observations(), simulated.session.base_from_flange), accuracy=ARM)
-        assert found.residuals["views_left_out"] == []
+        assert found.residuals.views_left_out == []
 
 
 @pytest.mark.slow

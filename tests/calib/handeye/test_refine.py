@@ -3,10 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from koala3d.calib.advice.patterns import ViewRange, viewpoints
+from koala3d.calib.advice.simulate import KOALA, simulate
 from koala3d.calib.errors import CalibrationError
 from koala3d.calib.handeye import model, refine
 from koala3d.calib.intrinsics import projection
-from koala3d.calib.study.simulate import KOALA, Pattern, simulate, viewpoints
+from koala3d.calib.intrinsics.prior import IntrinsicsPrior
 from koala3d.datasets import pose
 from koala3d.datasets.targets.board import Board
 
@@ -71,7 +73,9 @@ def test_a_worse_arm_than_stated_is_noticed(simulate):
 
 def test_known_intrinsics_are_kept_to(simulate):
     ordinary = simulate(seed=6, views=12)
-    session = ordinary.session(free=("fx", "fy", "cx", "cy"), known=model.Known(("fx",), np.array([900.0]), np.array([[1e-12]])))
+    session = ordinary.session(
+        free=("fx", "fy", "cx", "cy"), known=IntrinsicsPrior(("fx",), np.array([900.0]), np.array([[1e-12]]))
+    )
     start = replace(ordinary.state(), intrinsics=ordinary.state().intrinsics + 50 * np.eye(12)[0])
     found = refine.refine(session, start, sigma_px=0.3)
     assert found.state.intrinsics[0] == pytest.approx(900.0, abs=1e-4)
@@ -100,9 +104,9 @@ def test_board_alone_is_found_again(small):
 
 
 def test_fifty_views_of_a_hundred_corners_take_a_few_steps():
-    """What a step costs is the business of `calib bench`."""
+    """What a step costs is the business of `python -m tests.bench.handeye`."""
     rig, rng = replace(KOALA, board=Board.of("charuco", 11, 11, 0.016, 0.0117, "DICT_5X5_100")), np.random.default_rng(8)
-    drawn = simulate(rng, rig, viewpoints(rng, rig, 50, Pattern()), sigma_px=0.1, arm=model.Accuracy(), free=FREE)
+    drawn = simulate(rng, rig, viewpoints(rng, rig, 50, ViewRange()), sigma_px=0.1, arm=model.Accuracy(), free=FREE)
     assert len(drawn.session.view) == 50 * 100
     first = disturbed(replace(drawn.truth, corrections=np.zeros((50, 6))), rng)
     found = refine.refine(drawn.session, first, sigma_px=0.3)

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from koala3d.calib.advice.rehearsal import draw_rig
 from koala3d.calib.handeye import model, refine, repeating, uncertainty
 from koala3d.calib.handeye.model import Accuracy, State
 from koala3d.calib.intrinsics import projection
-from koala3d.calib.study import coverage
-from koala3d.calib.study.rehearsal import draw_rig
 from koala3d.datasets import kinematics, pose
 from koala3d.datasets.kinematics import UR5E
+from tests.calib import drawn_arms
 
 FREE = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 
@@ -20,7 +20,7 @@ def solved(scale, seed=0, views=25):
     """(rig, session, refinement) of an arm whose links are off by `scale`."""
     rng, rig = np.random.default_rng([seed, 51]), draw_rig(seed)
     links = UR5E.calibrated(rng, scale * repeating.LENGTH_M, scale * repeating.ANGLE_RAD)
-    found = coverage.drawn(rng, rig, links, views)
+    found = drawn_arms.drawn(rng, rig, links, views)
     session = model.measured(found, FREE, None, Accuracy())
     start = State(projection.vector(rig.camera), rig.flange_from_camera, rig.base_from_board, np.zeros((views, 6)))
     return rig, session, refine.refine(session, start, sigma_px=0.1)
@@ -91,9 +91,9 @@ def test_links_that_are_off_are_measured_and_stated(bent):
     assert 0.4 < found.scale < 2.5 and 0.02e-3 < found.stop_m < 0.08e-3  # the stop is found behind errors of a millimetre
     independent, camera = uncertainty.covariance(session, refined), uncertainty.poses(session, refined, found.covariance)[0]
     assert (deviation(session, refined, found.covariance) > 2 * deviation(session, refined, independent)).all()
-    assert coverage.squared_distance(camera, rig.flange_from_camera) < 22.5  # the 99.9 % point
+    assert drawn_arms.squared_distance(camera, rig.flange_from_camera) < 22.5  # the 99.9 % point
     before = uncertainty.poses(session, refined, independent)[0]
-    assert coverage.squared_distance(before, rig.flange_from_camera) > 22.5
+    assert drawn_arms.squared_distance(before, rig.flange_from_camera) > 22.5
 
 
 def test_without_joint_angles_neighbouring_poses_err_alike(bent):
@@ -103,7 +103,7 @@ def test_without_joint_angles_neighbouring_poses_err_alike(bent):
     assert found.scale > 0.3
     covariances = found.covariance, uncertainty.covariance(session, refined)
     widened, before = (
-        coverage.squared_distance(uncertainty.poses(session, refined, each)[0], rig.flange_from_camera) for each in covariances
+        drawn_arms.squared_distance(uncertainty.poses(session, refined, each)[0], rig.flange_from_camera) for each in covariances
     )
     assert widened < before / 2  # a smooth function is not what links do: 28 where 22.5 is the 99.9 % point, instead of 84
 
@@ -128,6 +128,19 @@ def test_angles_of_another_arm_are_not_used(exact):
 
 def test_drawn_angles_lead_to_the_poses():
     rng, rig = np.random.default_rng(0), draw_rig(1)
-    session = coverage.drawn(rng, rig, UR5E, 5)
+    session = drawn_arms.drawn(rng, rig, UR5E, 5)
     distance, angle = pose.difference(kinematics.forward(session.joints), session.base_from_flange)
     assert distance.max() < 1e-9 and angle.max() < 1e-9
+
+
+def test_the_arm_is_off_by_what_its_links_are():
+    """Reported and true poses of a session differ as those of the two arms do, beside the error of each stop."""
+    rig, links = draw_rig(0), UR5E.calibrated(np.random.default_rng(1), repeating.LENGTH_M, repeating.ANGLE_RAD)
+    session = drawn_arms.drawn(np.random.default_rng(2), rig, links, 6)
+    built = kinematics.forward(session.joints, links)
+    apart, _ = pose.difference(built, session.base_from_flange)
+    assert 2e-4 < np.median(apart) < 1e-2
+    for flange, observation in zip(built, session.observations, strict=True):
+        board = pose.inverse(flange @ rig.flange_from_camera) @ rig.base_from_board
+        off = observation.pixels - rig.camera.project(observation.points @ board[:3, :3].T + board[:3, 3])
+        assert np.sqrt((off**2).mean()) < 1.0  # a stop of 0.03 mm and corners; links as reported would be several pixels off

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from koala3d.calib import calibrate
+from koala3d.calib.advice.patterns import Rig, ViewRange, viewpoints
+from koala3d.calib.advice.simulate import KOALA, simulate
 from koala3d.calib.errors import TargetError
 from koala3d.calib.handeye.model import Accuracy
 from koala3d.calib.handeye.verify import verify
 from koala3d.calib.intrinsics import projection
 from koala3d.calib.page import evidence, maps, report, summary
 from koala3d.calib.sessions.session import TargetSession
-from koala3d.calib.study.simulate import KOALA, Pattern, Rig, simulate, viewpoints
 from koala3d.datasets.calibration import Calibration
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.reports.html import ReportPage
@@ -42,7 +43,7 @@ RIG = replace(KOALA, camera=with_surface(KOALA.camera, "ripple"))
 
 def session(rig: Rig, seed: int, views: int = 25) -> TargetSession:
     rng = np.random.default_rng(seed)
-    drawn = simulate(rng, rig, viewpoints(rng, rig, views, Pattern()), sigma_px=0.1, arm=ARM)
+    drawn = simulate(rng, rig, viewpoints(rng, rig, views, ViewRange()), sigma_px=0.1, arm=ARM)
     size = rig.camera.width, rig.camera.height
     name = {"frames_sha256": str(seed)}
     return TargetSession(rig.board, *size, tuple(drawn.observations()), drawn.session.base_from_flange, provenance=name)
@@ -80,8 +81,8 @@ def test_the_camera_is_nearer_to_where_it_is(seen: TargetSession, splined: Calib
     pixels = np.concatenate([o.pixels for o in seen.observations])
     (place, rays), (place_plain, rays_plain) = off(splined, pixels), off(plain, pixels)
     assert place < 0.5 * place_plain and rays < 0.7 * rays_plain  # medians of five: 0.07 of 0.14 mm, 0.12 of 0.47 px
-    assert splined.residuals["held_out_px"] < plain.residuals["held_out_px"]
-    assert splined.residuals["rms_px"] < 0.1 * np.sqrt(2) < plain.residuals["rms_px"]
+    assert splined.residuals.held_out_px < plain.residuals.held_out_px
+    assert splined.residuals.rms_px < 0.1 * np.sqrt(2) < plain.residuals.rms_px
 
 
 def test_another_session_is_predicted_better(splined: Calibration, plain: Calibration) -> None:
@@ -107,7 +108,7 @@ def test_a_session_with_this_camera_given_counts_its_knots_with_their_uncertaint
     assert len(knots) == 2 * splined.camera.spline.grid.count
     before, after = (np.array([one.camera_std[name] for name in knots]) for one in (splined, found))
     assert (after < 1.001 * before).all() and after.mean() < before.mean()
-    assert found.residuals["rms_px"] < 0.1 * np.sqrt(2)
+    assert found.residuals.rms_px < 0.1 * np.sqrt(2)
 
 
 @pytest.mark.slow
@@ -135,7 +136,7 @@ def test_summary_and_page_say_so_in_a_line(seen: TargetSession, splined: Calibra
     assert "12 x 8 knots move pixels by up to" in text and "knot 0" not in text
     held = evidence.gather(splined, seen)
     assert np.sqrt(np.mean((held.residuals[held.kind][held.inliers] ** 2).sum(1))) == pytest.approx(
-        splined.residuals["rms_px"], rel=0.01
+        splined.residuals.rms_px, rel=0.01
     )
     page = ReportPage("Calibration")
     report._camera(page, splined)
@@ -153,7 +154,7 @@ def test_too_few_corners_are_refused() -> None:
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize("kind", ["plain", "bump", "ripple"])
 def test_five_sessions_of_each_kind(kind: str) -> None:
-    """The figures of docs/calibration.md: medians of five sessions, and how often `auto` takes knots."""
+    """Those of docs/calibration_figures.md: medians of five sessions, and how often `auto` takes knots."""
     rig = KOALA if kind == "plain" else replace(KOALA, camera=with_surface(KOALA.camera, kind))
     rows, taken = {"rational": [], "splined": []}, 0
     for seed in range(5):
@@ -161,9 +162,9 @@ def test_five_sessions_of_each_kind(kind: str) -> None:
         pixels = np.concatenate([o.pixels for o in drawn.observations])
         taken += calibrate.calibrate_intrinsics(drawn, "auto").camera.spline is not None
         for lens, found in rows.items():
-            alone = calibrate.calibrate_intrinsics(drawn, lens).residuals["held_out_px"]
+            alone = calibrate.calibrate_intrinsics(drawn, lens).residuals.held_out_px
             rig_found = calibrate.calibrate_handeye(drawn, lens=lens)
-            found.append((alone, rig_found.residuals["held_out_px"], *off(rig_found, pixels, rig)))
+            found.append((alone, rig_found.residuals.held_out_px, *off(rig_found, pixels, rig)))
     medians = {lens: np.median(found, axis=0) for lens, found in rows.items()}
     print(f"\n{kind}: auto takes knots in {taken} of 5")
     for lens, (alone, arm, place, rays) in medians.items():

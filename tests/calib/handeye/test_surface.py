@@ -6,17 +6,18 @@ import numpy as np
 import pytest
 
 from koala3d.calib import calibrate
-from koala3d.calib.advice.patterns import Pattern, viewpoints
+from koala3d.calib.advice.patterns import ViewRange, viewpoints
+from koala3d.calib.advice.simulate import KOALA, simulate
 from koala3d.calib.handeye import model, surface
 from koala3d.calib.handeye.model import Accuracy, State
 from koala3d.calib.intrinsics import projection
 from koala3d.calib.options import Arm, Inexact
 from koala3d.calib.page.summary import describe_calibration
 from koala3d.calib.sessions.session import TargetSession
-from koala3d.calib.study.simulate import KOALA, simulate
 from koala3d.datasets import pose
 from koala3d.datasets.calibration import Calibration
 from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.residuals import Residuals
 
 SHAPE = np.array([0.002, -0.001, 8e-4, -3e-4])
 """Paper that a printer pulled by 0.2 %, glued to a plate that sags by 0.8 mm."""
@@ -30,7 +31,7 @@ def bent(seed: int, shape: np.ndarray = SHAPE, views: int = 20) -> TargetSession
     """A session whose target has that shape, and whose corners are named by where they should be."""
     rng = np.random.default_rng([14, seed])
     truly = BOARD.points + surface.by_shape(BOARD.points, EXTENT) @ shape
-    drawn = simulate(rng, KOALA, viewpoints(rng, KOALA, views, Pattern()), sigma_px=0.1, arm=ARM, printed=truly)
+    drawn = simulate(rng, KOALA, viewpoints(rng, KOALA, views, ViewRange()), sigma_px=0.1, arm=ARM, printed=truly)
     camera = KOALA.camera
     return TargetSession(BOARD, camera.width, camera.height, tuple(drawn.observations()), drawn.session.base_from_flange)
 
@@ -69,7 +70,7 @@ def found() -> Calibration:
 
 
 def test_the_shape_is_found_within_what_is_stated(found) -> None:
-    shape, std = (np.array(found.residuals[name]) for name in ("target_shape", "target_shape_std"))
+    shape, std = (np.array(getattr(found.residuals, name)) for name in ("target_shape", "target_shape_std"))
     assert (np.abs(shape - SHAPE) < 4 * std).all()
     assert (std < 0.1 * np.array([0.005, 0.005, 2e-3, 2e-3])).all(), "the views say ten times as much as was stated"
     assert "stretched by 0." in describe_calibration(found) and "deeper than its edges" in describe_calibration(found)
@@ -78,21 +79,21 @@ def test_the_shape_is_found_within_what_is_stated(found) -> None:
 def test_who_takes_it_for_flat_pays(found) -> None:
     flat = calibrate.calibrate_handeye(bent(1), accuracy=ARM)
     assert error_mm(found) < 4 * found.flange_from_camera.total_std[0]
-    assert flat.residuals["rms_px"] > 1.3 * found.residuals["rms_px"]
+    assert flat.residuals.rms_px > 1.3 * found.residuals.rms_px
     assert error_mm(flat) > 2 * error_mm(found)
     assert "fit a target that is stretched" in describe_calibration(flat) and "--sag-mm 2" in describe_calibration(flat)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_flat_target_is_not_suspected(seed) -> None:
-    assert "target_seems" not in calibrate.calibrate_handeye(bent(seed, np.zeros(4)), accuracy=ARM).residuals
+    assert calibrate.calibrate_handeye(bent(seed, np.zeros(4)), accuracy=ARM).residuals.target_seems is None
 
 
 def test_a_flat_target_loses_little() -> None:
     session = bent(2, np.zeros(4))
     tolerant, plain = (calibrate.calibrate_handeye(session, accuracy=one) for one in (TOLERANT, ARM))
     assert tolerant.flange_from_camera.total_std[0] < 1.5 * plain.flange_from_camera.total_std[0]
-    assert (np.abs(tolerant.residuals["target_shape"]) < 4 * np.array(tolerant.residuals["target_shape_std"])).all()
+    assert (np.abs(tolerant.residuals.target_shape) < 4 * np.array(tolerant.residuals.target_shape_std)).all()
 
 
 def test_only_what_is_asked_for_is_estimated() -> None:
@@ -101,9 +102,9 @@ def test_only_what_is_asked_for_is_estimated() -> None:
 
 
 def test_a_file_without_a_credible_shape_is_of_a_flat_target() -> None:
-    for stored in ({}, {"target_shape": [1, 2]}, {"target_shape": [np.nan] * 4}):
+    for stored in (Residuals(), Residuals(target_shape=[1, 2]), Residuals(target_shape=[np.nan] * 4)):
         np.testing.assert_array_equal(surface.known(stored), np.zeros(4))
-    assert surface.in_words({}) == ""
+    assert surface.in_words(Residuals()) == ""
 
 
 def test_options_that_are_no_accuracy_are_refused() -> None:

@@ -1,10 +1,11 @@
 import numpy as np
 import pytest
 
+from koala3d.calib.advice.patterns import ViewRange, viewpoints
+from koala3d.calib.advice.simulate import KOALA, simulate
 from koala3d.calib.errors import CalibrationError
 from koala3d.calib.handeye.model import Accuracy
 from koala3d.calib.intrinsics import bundle, projection
-from koala3d.calib.study.simulate import KOALA, Pattern, simulate, viewpoints
 from koala3d.datasets import pose
 
 FREE = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
@@ -12,7 +13,7 @@ FREE = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
 
 def draw(sigma_px, seed=0):
     rng = np.random.default_rng(seed)
-    return simulate(rng, KOALA, viewpoints(rng, KOALA, 12, Pattern()), sigma_px=sigma_px, arm=Accuracy(1e-5, 1e-5))
+    return simulate(rng, KOALA, viewpoints(rng, KOALA, 12, ViewRange()), sigma_px=sigma_px, arm=Accuracy(1e-5, 1e-5))
 
 
 def test_camera_and_poses_come_back_from_noise_free_corners():

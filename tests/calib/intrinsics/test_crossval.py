@@ -3,9 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from koala3d.calib.advice.patterns import ViewRange, viewpoints
+from koala3d.calib.advice.simulate import ARM, KOALA, simulate
 from koala3d.calib.intrinsics import crossval, estimate, lenses
-from koala3d.calib.study.simulate import KOALA, Pattern, simulate, viewpoints
-from koala3d.calib.study.variants import ARM
 
 CAMERA = KOALA.camera
 
@@ -29,7 +29,7 @@ def test_a_focal_length_shows_at_the_rim():
 
 def test_halves_of_a_session_agree_where_corners_were_seen():
     rng = np.random.default_rng(0)
-    drawn = simulate(rng, KOALA, viewpoints(rng, KOALA, 24, Pattern()), sigma_px=0.1, arm=ARM)
+    drawn = simulate(rng, KOALA, viewpoints(rng, KOALA, 24, ViewRange()), sigma_px=0.1, arm=ARM)
     found = estimate.calibrate(drawn.observations(), CAMERA.width, CAMERA.height, lenses=[lenses.USUAL])
     halves = crossval.cross_validate(found.camera, found.lens, found.observations, found.camera_from_board)
     middle = halves.values_px[8:16, 8:16]

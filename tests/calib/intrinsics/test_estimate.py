@@ -3,13 +3,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from koala3d.calib.advice.patterns import ViewRange, viewpoints
+from koala3d.calib.advice.rehearsal import ARM, draw_rig
+from koala3d.calib.advice.simulate import simulate as simulate_session
+from koala3d.calib.advice.simulate import target_session
 from koala3d.calib.errors import TargetError, Unobservable
 from koala3d.calib.handeye.model import camera_points
 from koala3d.calib.intrinsics import estimate, lenses, projection
-from koala3d.calib.study.rehearsal import ARM, draw_rig
-from koala3d.calib.study.simulate import Pattern, viewpoints
-from koala3d.calib.study.simulate import simulate as simulate_session
-from koala3d.calib.study.variants import target_session
 from koala3d.datasets import pose
 from koala3d.datasets.camera_model import Camera
 
@@ -107,7 +107,7 @@ def test_a_short_session_does_not_make_a_fisheye_of_an_ordinary_lens():
     chosen = []
     for seed in range(4, 7):  # one of these
         rng, rig = np.random.default_rng([seed, 77]), draw_rig(seed)
-        flown = viewpoints(rng, rig, 6, Pattern((5.0, 45.0), (0.25, 0.5)))
+        flown = viewpoints(rng, rig, 6, ViewRange((5.0, 45.0), (0.25, 0.5)))
         session = target_session(simulate_session(rng, rig, flown, sigma_px=0.1, arm=ARM))
         found = estimate.calibrate(session.observations, session.width, session.height)
         assert estimate._worth_a_try(lenses.FISHEYE[0], found.camera, lenses.LENSES["auto"])

@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from koala3d.calib.advice.patterns import ViewRange, viewpoints
+from koala3d.calib.advice.simulate import KOALA, simulate
 from koala3d.calib.errors import TargetError
 from koala3d.calib.handeye.model import Accuracy
 from koala3d.calib.intrinsics import estimate, lenses, projection, splined
-from koala3d.calib.study.simulate import KOALA, Pattern, simulate, viewpoints
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.spline import Grid, Spline
 
@@ -33,7 +34,7 @@ BUMP = with_bump(KOALA.camera)
 def corners(camera: Camera, seed: int = 0, views: int = 25, noise_px: float = NOISE_PX) -> list:
     """Corners by view, of the ordinary rig with another camera."""
     rng, rig = np.random.default_rng(seed), replace(KOALA, camera=camera)
-    return simulate(rng, rig, viewpoints(rng, rig, views, Pattern()), sigma_px=noise_px, arm=Accuracy()).observations()
+    return simulate(rng, rig, viewpoints(rng, rig, views, ViewRange()), sigma_px=noise_px, arm=Accuracy()).observations()
 
 
 def found(camera: Camera, name: str, **options: float) -> estimate.Intrinsics:
@@ -79,7 +80,7 @@ def test_a_plain_lens_gets_no_knots(seed: int) -> None:
 
 def test_a_bent_target_is_not_taken_for_a_lens() -> None:
     rng = np.random.default_rng(0)
-    taken, points = viewpoints(rng, KOALA, 25, Pattern()), KOALA.board.points
+    taken, points = viewpoints(rng, KOALA, 25, ViewRange()), KOALA.board.points
     away = 2 * (points[:, :2] - points[:, :2].min(0)) / np.ptp(points[:, :2], axis=0) - 1
     bent = points + np.column_stack([0 * away, 4e-4 * (1 - away[:, 0] ** 2)])
     seen = simulate(rng, KOALA, taken, sigma_px=NOISE_PX, arm=Accuracy(), printed=bent).observations()

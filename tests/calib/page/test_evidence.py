@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from koala3d.calib import calibrate
+from koala3d.calib.advice.patterns import ViewRange, viewpoints
+from koala3d.calib.advice.simulate import ARM, KOALA, simulate, target_session
 from koala3d.calib.handeye import refine
 from koala3d.calib.intrinsics import estimate
-from koala3d.calib.page.evidence import ALONE, CORRECTED, REPORTED, Evidence, gather, recording_of
+from koala3d.calib.page.evidence import ALONE, CORRECTED, REPORTED, CalibrationEvidence, gather, recording_of
 from koala3d.calib.page.view import ARROW, between_green_and_red, overall, with_arrows
 from koala3d.calib.sessions.session import TargetSession
-from koala3d.calib.study import variants
-from koala3d.calib.study.simulate import KOALA, Pattern, simulate, viewpoints
 from koala3d.datasets import pose
 from koala3d.datasets.calibration import Calibration
 from koala3d.datasets.core.errors import UsageError
@@ -31,18 +31,18 @@ def calibration(calibrated) -> Calibration:
 
 
 @pytest.fixture(scope="module")
-def evidence(calibration, session) -> Evidence:
+def evidence(calibration, session) -> CalibrationEvidence:
     return gather(calibration, session)
 
 
 def test_residuals_are_those_of_the_stored_calibration(evidence, calibration) -> None:
     assert tuple(evidence.residuals) == (CORRECTED, REPORTED) and evidence.notes == ()
-    assert evidence.inliers.sum() == calibration.residuals["corners"]
+    assert evidence.inliers.sum() == calibration.residuals.corners
     # the corrections alone are fitted, with the stored sigmas: they differ from those of the refinement in the last steps
-    assert overall(evidence, CORRECTED) == pytest.approx(calibration.residuals["rms_px"], rel=1e-4)
+    assert overall(evidence, CORRECTED) == pytest.approx(calibration.residuals.rms_px, rel=1e-4)
     assert overall(evidence, REPORTED) > 1.2 * overall(evidence, CORRECTED)
     for sighting in evidence.sightings():
-        assert sighting.rms(CORRECTED) == pytest.approx(calibration.residuals["view_rms_px"][sighting.name], rel=1e-3)
+        assert sighting.rms(CORRECTED) == pytest.approx(calibration.residuals.view_rms_px[sighting.name], rel=1e-3)
 
 
 def test_nothing_is_estimated_again(session, calibration, monkeypatch) -> None:
@@ -53,7 +53,7 @@ def test_nothing_is_estimated_again(session, calibration, monkeypatch) -> None:
     monkeypatch.setattr(refine, "refine", refused)
     shifted = replace(calibration, camera=replace(calibration.camera, cx=calibration.camera.cx + 1))
     found = gather(shifted, session)
-    assert found.calibration is shifted and overall(found, CORRECTED) > 1.2 * calibration.residuals["rms_px"]
+    assert found.calibration is shifted and overall(found, CORRECTED) > 1.2 * calibration.residuals.rms_px
 
 
 def test_cameras_stand_where_they_truly_stood(evidence, recorded) -> None:
@@ -77,7 +77,8 @@ def test_a_camera_alone_has_its_own_residuals(calibration, session) -> None:
 
 
 def test_views_left_out_are_shown_without_residuals(calibration, session) -> None:
-    facts = {**calibration.residuals, "views_left_out": ["003"], "why_left_out": {"003": "arm and picture disagree"}}
+    reasons = {"003": "arm and picture disagree"}
+    facts = replace(calibration.residuals, views_left_out=["003"], why_left_out=reasons)
     found = gather(replace(calibration, residuals=facts), session)
     shown = {sighting.name: sighting for sighting in found.sightings()}
     assert shown["003"].left_out == "arm and picture disagree" and shown["003"].residuals == {}
@@ -91,14 +92,14 @@ def test_another_recording_is_named_as_such(calibration, session) -> None:
 
 def test_an_ambiguous_board_is_read_as_the_calibration_has_it() -> None:
     rig, rng = replace(KOALA, board=Board.of("chessboard", 9, 7, 0.03)), np.random.default_rng(4)
-    simulated = simulate(rng, rig, viewpoints(rng, rig, 12, Pattern()), sigma_px=0.1, arm=variants.ARM)
-    session = variants.target_session(simulated)
-    found = calibrate.calibrate_handeye(session, accuracy=variants.ARM)
+    simulated = simulate(rng, rig, viewpoints(rng, rig, 12, ViewRange()), sigma_px=0.1, arm=ARM)
+    session = target_session(simulated)
+    found = calibrate.calibrate_handeye(session, accuracy=ARM)
     last = len(rig.board.points) - 1
     turned = [replace(o, ids=last - o.ids, points=rig.board.points[last - o.ids]) for o in session.observations[::2]]
     mixed = [turned[i // 2] if i % 2 == 0 else o for i, o in enumerate(session.observations)]
     evidence = gather(found, replace(session, observations=tuple(mixed)))
-    assert overall(evidence, CORRECTED) == pytest.approx(found.residuals["rms_px"], rel=1e-3)
+    assert overall(evidence, CORRECTED) == pytest.approx(found.residuals.rms_px, rel=1e-3)
 
 
 def test_a_missing_recording_is_named(calibration, recorded, tmp_path: Path) -> None:

@@ -11,10 +11,11 @@ import pytest
 from PIL import Image
 
 from koala3d.calib import calibrate
+from koala3d.calib.advice.patterns import ViewRange, viewpoints
+from koala3d.calib.advice.simulate import ARM, KOALA, simulate, target_session
+from koala3d.calib.intrinsics import crossval
 from koala3d.calib.page import report
 from koala3d.calib.page.evidence import gather
-from koala3d.calib.study import variants
-from koala3d.calib.study.simulate import KOALA, Pattern, simulate, viewpoints
 from koala3d.datasets import pose
 from koala3d.datasets.calibration import Calibration
 from koala3d.datasets.core.errors import UsageError
@@ -24,12 +25,12 @@ from koala3d.datasets.reports.html import Number, ReportPage
 def evidence_of(given=None):
     """Of a session in which view 005 is 10 mm off and view 012 shows no target."""
     rng = np.random.default_rng(0)
-    simulated = simulate(rng, KOALA, viewpoints(rng, KOALA, 12, Pattern()), sigma_px=0.1, arm=variants.ARM)
-    session = variants.target_session(simulated)
+    simulated = simulate(rng, KOALA, viewpoints(rng, KOALA, 12, ViewRange()), sigma_px=0.1, arm=ARM)
+    session = target_session(simulated)
     reported = session.base_from_flange.copy()
     reported[5] = reported[5] @ pose.from_rotation_vector([0, 0, 0], [0.01, 0, 0])
     session = replace(session, base_from_flange=reported, unseen=("<b>012",))
-    return gather(calibrate.calibrate_handeye(session, given, variants.ARM), session)
+    return gather(calibrate.calibrate_handeye(session, given, ARM), session)
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +55,7 @@ def pictures(text):
 def test_page_needs_nothing_else(text):
     assert not re.search(r"<script[^>]*src|https?://|src=\"(?!data:)", text)
     HTMLParser().feed(text)
-    assert len(re.findall(r"<h2[ >]", text)) == text.count("</h2>") == 10
+    assert len(re.findall(r"<h2[ >]", text)) == text.count("</h2>") == 11
     assert "calib report FILE --out page.html" in text
 
 
@@ -67,7 +68,7 @@ def test_numbers_have_their_uncertainty(text, evidence):
 
 def test_figures_show_something(text):
     found = pictures(text)
-    assert len(found) == 7  # residuals, views, coverage, rotations, two ellipses, two halves
+    assert len(found) == 8  # residuals, views, coverage, rotations, two ellipses, certainty, two halves
     for picture in found:
         values = np.asarray(picture.convert("L"), float)
         assert min(values.shape) > 250 and values.std() > 5, "an empty figure"
@@ -88,7 +89,16 @@ def test_a_given_camera_is_not_cross_validated():
 def test_a_camera_alone_has_no_figures_of_an_arm(evidence):
     calibration = replace(evidence.calibration, flange_from_camera=None, base_from_board=None)
     text = report.page(gather(calibration, evidence.everything)).render()
-    assert "Rotations" not in text and "Uncertainty of" not in text and len(pictures(text)) == 4
+    assert "Rotations" not in text and "Uncertainty of" not in text and len(pictures(text)) == 5
+
+
+def test_the_difference_from_another_camera_is_drawn(evidence):
+    camera = evidence.calibration.camera
+    found = crossval.compared(camera, replace(camera, fx=camera.fx + 3), "other.json")
+    text = report.page(evidence, others={"other": found}).render()
+    assert "Difference from other" in text and len(pictures(text)) == 9
+    with pytest.raises(UsageError, match="960x540, not 1920x1080"):
+        crossval.compared(camera, camera.scaled(960, 540), "small.json")
 
 
 def test_nothing_is_overwritten(tmp_path, page):

@@ -7,19 +7,18 @@ from koala3d.calib.page import summary
 from koala3d.datasets import pose
 from koala3d.datasets.calibration import Calibration, UncertainPose
 from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.residuals import Residuals
 
-RESIDUALS = {
-    "rms_px": 0.1,
-    "held_out_px": 0.2,
-    "held_out_mm": 0.15,
-    "corners": 900,
-    "views_used": 20,
-    "coverage": 0.5,
-    "views_unseen": [],
-    "views_left_out": [],
-    "arm_translation_mm": 0.05,
-    "arm_rotation_deg": 0.01,
-}
+RESIDUALS = Residuals(
+    rms_px=0.1,
+    held_out_px=0.2,
+    held_out_mm=0.15,
+    corners=900,
+    views_used=20,
+    coverage=0.5,
+    arm_translation_mm=0.05,
+    arm_rotation_deg=0.01,
+)
 CALIBRATION = Calibration(
     Camera(640, 480, 600.0, 601.0, 320.0, 240.0, -0.1),
     {"fx": 0.5, "fy": 0.5, "cx": 0.2, "cy": 0.2, "k1": 0.001},
@@ -38,20 +37,15 @@ def test_summary_has_values_with_deviations_and_units():
 
 
 def test_intrinsics_alone_need_no_arm():
-    residuals = {k: v for k, v in RESIDUALS.items() if not k.startswith("arm") and k != "held_out_mm"}
+    residuals = replace(RESIDUALS, arm_translation_mm=None, arm_rotation_deg=None, held_out_mm=None)
     text = summary.describe_calibration(replace(CALIBRATION, flange_from_camera=None, residuals=residuals, provenance={}))
     assert "arm errors" not in text and "0.200 px" in text
 
 
 def test_notes_name_what_a_person_should_look_at():
-    residuals = {
-        **RESIDUALS,
-        "views_unseen": ["003"],
-        "views_left_out": ["007"],
-        "coverage": 0.2,
-        "arm_translation_mm": 1.0,
-        "settled": False,
-    }
+    residuals = replace(
+        RESIDUALS, views_unseen=["003"], views_left_out=["007"], coverage=0.2, arm_translation_mm=1.0, settled=False
+    )
     text = "\n".join(summary.notes(replace(CALIBRATION, residuals=residuals)))
     assert "view 003" in text and "view 007" in text and "little of the image" in text and "20 times less accurate" in text
     assert "did not converge" in text
@@ -63,9 +57,9 @@ def test_verification_names_the_worst_view():
 
 
 def test_error_with_every_corner_is_shown_where_corners_were_left_out():
-    more = {**RESIDUALS, "held_out_all_px": 0.5, "held_out_all_mm": 0.4, "corners_left_out": 7}
+    more = replace(RESIDUALS, held_out_all_px=0.5, held_out_all_mm=0.4, corners_left_out=7)
     assert "with every corner 0.500 px = 0.400 mm, the 7 that were left out" in summary.describe_calibration(
         replace(CALIBRATION, residuals=more)
     )
-    none = {**more, "corners_left_out": 0}
+    none = replace(more, corners_left_out=0)
     assert "every corner" not in summary.describe_calibration(replace(CALIBRATION, residuals=none))

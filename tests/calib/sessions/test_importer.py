@@ -173,7 +173,7 @@ def test_pictures_without_a_pose_are_left_out_with_a_note(folder, tmp_path):
     session = importer.import_session(path, described(), leave_out=True)
     found = calibrate_handeye(session)
     assert f"view {names[0]} is left out: it has no pose; there are 11 for 12 pictures" in notes(found)
-    assert found.provenance["leave_out"] is True and found.residuals["views_used"] == 10  # the last shows no target
+    assert found.provenance["leave_out"] is True and found.residuals.views_used == 10  # the last shows no target
 
 
 def test_what_is_missing_is_named(folder):

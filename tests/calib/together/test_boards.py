@@ -8,11 +8,11 @@ import pytest
 from scipy.stats import chi2
 
 from koala3d.calib import calibrate
-from koala3d.calib.advice.patterns import Pattern, viewpoints
+from koala3d.calib.advice.patterns import ViewRange, viewpoints
+from koala3d.calib.advice.simulate import KOALA
 from koala3d.calib.errors import CalibrationError, Unobservable
 from koala3d.calib.handeye.model import Accuracy
 from koala3d.calib.sessions.session import TargetSession
-from koala3d.calib.study.simulate import KOALA
 from koala3d.calib.targets.detection import Observation
 from koala3d.calib.together.boards import Boards, calibrate_boards
 from koala3d.datasets import pose
@@ -20,7 +20,7 @@ from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.targets.board import Board
 
 ARM = Accuracy(5e-5, float(np.deg2rad(0.01)))
-PATTERN = Pattern(tilt_deg=(0, 35), distance_m=(0.35, 0.5))
+PATTERN = ViewRange(tilt_deg=(0, 35), distance_m=(0.35, 0.5))
 SMALL = Board.of("charuco", 7, 5, 0.02, 0.015, "DICT_4X4_100")
 BESIDE = pose.from_rotation_vector([0.1, 0.3, 0.2], [0.05, -0.03, 0.02]) @ KOALA.base_from_board
 """Where the second target stands: tilted, and within the same pictures."""
@@ -87,18 +87,18 @@ def test_two_targets_tell_at_least_what_their_mean_tells(both) -> None:
 
 def test_the_file_names_each_target_and_counts_them_all(both) -> None:
     residuals = both.calibration.residuals
-    big, small = residuals["boards"]
+    big, small = residuals.boards
     assert (big["name"], small["name"]) == ("big", "small") and (big["views"], small["views"]) == (14, 10)
-    assert residuals["views_used"] == 24 and residuals["corners"] == big["corners"] + small["corners"]
+    assert residuals.views_used == 24 and residuals.corners == big["corners"] + small["corners"]
     np.testing.assert_allclose(both.calibration.base_from_board.matrix, both.stand_from_board[0].matrix)
-    assert 0.1 < residuals["held_out_px"] < residuals["held_out_all_px"] + 1e-9 < 1.0  # half a pixel is the arm's error
+    assert 0.1 < residuals.held_out_px < residuals.held_out_all_px + 1e-9 < 1.0  # half a pixel is the arm's error
     assert both.calibration.provenance["method"] == "hand-eye, several targets"
 
 
 def test_in_one_recording_a_stop_counts_once() -> None:
     """Both targets see the same error of the arm: as if the second were more corners of the first, no more views."""
     shared = calibrated(simulated(3, views=(12, 12), one_recording=True), one_recording=True)
-    assert shared.calibration.residuals["views_used"] == 12
+    assert shared.calibration.residuals.views_used == 12
     error = twist(KOALA.flange_from_camera, shared.calibration.flange_from_camera.matrix)
     assert error @ np.linalg.solve(shared.calibration.flange_from_camera.covariance, error) < chi2.ppf(0.999, 6)
 
@@ -107,7 +107,7 @@ def test_a_target_in_two_views_helps_without_being_enough_alone() -> None:
     sessions = simulated(4, views=(12, 2))
     found = calibrated(sessions)
     assert found.alone[1] is None and found.alone[0] is not None
-    assert found.calibration.residuals["boards"][1]["views"] <= 2
+    assert found.calibration.residuals.boards[1]["views"] <= 2
     error = twist(BESIDE, found.stand_from_board[1].matrix)
     assert error @ np.linalg.solve(found.stand_from_board[1].covariance, error) < chi2.ppf(0.999, 6)
     with pytest.raises(Unobservable, match=r"no target alone determines .*\(2 sessions\)"):

@@ -1,4 +1,4 @@
-"""`calib boards` on pictures: one target in two recordings, and two targets in each picture of one."""
+"""`calib handeye` on pictures of several targets: one target in two recordings, and two targets in each picture of one."""
 
 import json
 from functools import partial
@@ -34,12 +34,12 @@ def test_two_targets_in_one_recording(calib, both_in_one, tmp_path):
     for name, board in (("charuco", truth.board), ("tags", TAGS)):
         files.write_text(tmp_path / f"{name}.yaml", "".join(f"{key}: {value}\n" for key, value in board.model_dump().items()))
     chosen = ["--board", tmp_path / "charuco.yaml", "--board", tmp_path / "tags.yaml"]
-    result = calib("boards", recording, *chosen, "--out", tmp_path / "calibration.json")
+    result = calib("handeye", recording, *chosen, "--out", tmp_path / "calibration.json")
     assert result.returncode == 0, result.stderr
     assert "tags.yaml: " in result.stdout and "placed to" in result.stdout
     calibration = Calibration.load(tmp_path / "calibration.json")
-    assert calibration.residuals["views_used"] == 10  # pictures, not sessions
-    charuco, tags = calibration.residuals["boards"]
+    assert calibration.residuals.views_used == 10  # pictures, not sessions
+    charuco, tags = calibration.residuals.boards
     assert charuco["views"] == 10 and tags["views"] >= 3
     placed = UncertainPose.from_json(tags["base_from_board"], where="tags")
     distance, _ = pose.difference(placed.matrix, base_from_tags)
@@ -49,7 +49,7 @@ def test_two_targets_in_one_recording(calib, both_in_one, tmp_path):
 
 
 def test_one_target_in_two_recordings(calib, recorded, recorded_again, tmp_path):
-    result = calib("boards", recorded[0], recorded_again[0], "--out", tmp_path / "calibration.json", "--json")
+    result = calib("handeye", recorded[0], recorded_again[0], "--out", tmp_path / "calibration.json", "--json")
     assert result.returncode == 0, result.stderr
     found = json.loads(result.stdout)
     assert [board["views"] for board in found["residuals"]["boards"]] == [11, 8]
@@ -61,9 +61,9 @@ def test_targets_that_look_alike_are_refused(calib, recorded, tmp_path):
         tmp_path / "tags.yaml", "kind: tags\nsquares_x: 2\nsquares_y: 2\nsquare_length_m: 0.05\nmarker_length_m: 0.04\n"
     )
     chosen = ["--board", "charuco", "--board", tmp_path / "tags.yaml"]
-    result = calib("boards", recorded[0], *chosen, "--out", tmp_path / "calibration.json")
+    result = calib("handeye", recorded[0], *chosen, "--out", tmp_path / "calibration.json")
     assert result.returncode == 2 and "two targets look alike" in result.stderr and "marker 0 of DICT_5X5_100" in result.stderr
     chosen = ["--board", "charuco", "--board", "chessboard"]
-    result = calib("boards", recorded[0], *chosen, "--out", tmp_path / "calibration.json")
+    result = calib("handeye", recorded[0], *chosen, "--out", tmp_path / "calibration.json")
     assert result.returncode == 2 and "one of them has no markers" in result.stderr
     assert not (tmp_path / "calibration.json").exists()

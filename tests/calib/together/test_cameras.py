@@ -7,17 +7,17 @@ import pytest
 from scipy.stats import chi2
 
 from koala3d.calib import calibrate
-from koala3d.calib.advice.patterns import Pattern, viewpoints
+from koala3d.calib.advice.patterns import ViewRange, viewpoints
+from koala3d.calib.advice.simulate import KOALA
 from koala3d.calib.errors import CalibrationError
 from koala3d.calib.handeye import model
 from koala3d.calib.handeye.model import Accuracy
 from koala3d.calib.handeye.surface import FLAT
 from koala3d.calib.intrinsics import projection
 from koala3d.calib.sessions.session import TargetSession
-from koala3d.calib.study.simulate import KOALA
 from koala3d.calib.targets.detection import Observation
 from koala3d.calib.together.cameras import Cameras, calibrate_cameras
-from koala3d.calib.together.model import Together, TogetherState
+from koala3d.calib.together.model import JointMeasurements, JointState
 from koala3d.datasets import pose
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core.errors import UsageError
@@ -27,7 +27,7 @@ LEFT, RIGHT = KOALA.camera, Camera(1280, 960, 1150.0, 1152.0, 636.0, 483.0, -0.0
 FLANGE_FROM_LEFT = KOALA.flange_from_camera
 LEFT_FROM_RIGHT = pose.from_rotation_vector([0.01, -0.12, 0.02], [0.06, 0.001, -0.003])
 MOUNTS = (FLANGE_FROM_LEFT, FLANGE_FROM_LEFT @ LEFT_FROM_RIGHT)
-PATTERN = Pattern(tilt_deg=(0, 35), distance_m=(0.35, 0.5))
+PATTERN = ViewRange(tilt_deg=(0, 35), distance_m=(0.35, 0.5))
 
 
 def simulated(seed: int, *, views: int = 20, same_stops: bool, sigma_px: float = 0.1, arm: Accuracy = ARM) -> list[TargetSession]:
@@ -72,9 +72,9 @@ def test_derivatives_agree_with_central_differences() -> None:
     sessions = [model.measured(one, ("fx", "k1"), None, bent) for one in simulated(2, views=4, same_stops=True)]
     sessions.append(replace(sessions[0], points=0.5 * sessions[0].points))  # another target, half as large, the left one's
     stops = (np.arange(4), np.array([0, 1, 2, 4]), np.array([5, 1, 2, 3]))
-    problem = Together(tuple(sessions), (0, 1, 0), (0, 0, 1), stops, (1.0, 2.0))
+    problem = JointMeasurements(tuple(sessions), (0, 1, 0), (0, 0, 1), stops, (1.0, 2.0))
     boards = KOALA.base_from_board, pose.from_rotation_vector([0, 0.02, 0], [0.02, 0, 0]) @ KOALA.base_from_board
-    start = TogetherState(
+    start = JointState(
         (projection.vector(LEFT), projection.vector(RIGHT)), MOUNTS, boards, 2 * (FLAT,), 1e-3 * rng.normal(size=(6, 6))
     )
     _, by_global, by_stop = problem.predicted(start)

@@ -26,7 +26,7 @@ def test_a_calibration_for_each_camera_and_the_pose_between_them(calib, recorded
     assert np.linalg.norm(between.matrix[:3, 3]) < 4e-3 * between.total_std[0]  # four deviations, given in mm
     for name in ("recording", "again"):
         calibration = Calibration.load(tmp_path / "rig" / f"{name}.json")
-        assert calibration.flange_from_camera is not None and calibration.residuals["views_used"] >= 8
+        assert calibration.flange_from_camera is not None and calibration.residuals.views_used >= 8
 
 
 def test_recordings_of_one_name_are_refused(calib, recorded, tmp_path):

@@ -1,14 +1,15 @@
 import numpy as np
 import pytest
 
+from koala3d.calib.advice.simulate import KOALA
 from koala3d.calib.errors import CalibrationError, Unobservable
 from koala3d.calib.intrinsics import projection
 from koala3d.calib.sessions.session import TargetSession
-from koala3d.calib.study.simulate import KOALA
 from koala3d.calib.targets.detection import Observation
 from koala3d.calib.turntable.axis import find
 from koala3d.datasets import pose
 from koala3d.datasets.calibration import Calibration, UncertainPose
+from koala3d.datasets.residuals import Residuals
 from koala3d.datasets.turntable import Axis
 
 SIGMA_PX = 0.05
@@ -37,7 +38,7 @@ def session_of(rng: np.random.Generator, angles: np.ndarray, scale: float = 1.0,
     error = rng.normal(0, MOUNT_STD) if noise else np.zeros(6)
     mount = UncertainPose(pose.from_rotation_vector(error[3:], error[:3]) @ MOUNT, np.diag(MOUNT_STD**2))
     camera = KOALA.camera
-    facts = {"arm_translation_mm": 0.03, "arm_rotation_deg": np.degrees(2e-5)}
+    facts = Residuals(arm_translation_mm=0.03, arm_rotation_deg=float(np.degrees(2e-5)))
     session = TargetSession(board, camera.width, camera.height, tuple(observations), np.stack(flanges))
     return session, np.tile(angles, 3), Calibration(camera, {}, flange_from_camera=mount, residuals=facts)
 

@@ -12,12 +12,12 @@ from koala3d.datasets.checks import blur, coverage, exposure, intrinsics, motion
 from koala3d.datasets.checks.evidence import Evidence
 from koala3d.datasets.checks.matches import check_evidence
 from koala3d.datasets.core.findings import Finding
-from koala3d.datasets.injuries import injure
-from koala3d.datasets.injuries.bench import seen_again
 from koala3d.datasets.scene import Scene
 from koala3d.datasets.structure.epipolar import Correction
 from koala3d.datasets.structure.matching import Matches
 from koala3d.datasets.structure.triangulate import agreement
+from tests.bench import injure
+from tests.bench.check import seen_again
 
 LENS = Camera(320, 240, 340.0, 340.0, 160.0, 120.0)
 

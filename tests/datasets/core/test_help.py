@@ -22,8 +22,8 @@ def text() -> str:
     def first() -> None:
         """Begin."""
 
-    runner = CliRunner(env={"COLUMNS": "200"})
-    return runner.invoke(app, ["--help"]).output + runner.invoke(app, ["scene", "--help"]).output
+    runner = CliRunner()
+    return "".join(runner.invoke(app, words, terminal_width=200).output for words in (["--help"], ["scene", "--help"]))
 
 
 def test_no_sentence_is_cut_off(text: str) -> None:

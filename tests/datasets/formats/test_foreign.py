@@ -151,7 +151,7 @@ def test_masks_of_a_blender_file_are_read(transforms: Callable[..., Path], tmp_p
     [
         ({"camera_model": "EQUIRECTANGULAR"}, "camera model EQUIRECTANGULAR is not supported"),
         ({"camera_model": 7}, "camera model 7 is not supported"),
-        ({"k4": 0.1}, "k4 = 0.1 as the fourth radial coefficient is not supported.*datasets undistort"),
+        ({"k4": 0.1}, "k4 = 0.1 as the fourth radial coefficient is not supported.*datasets edit .* --undistort"),
         ({"drop": ("fl_x", "fl_y")}, "no focal length"),
         ({"fl_x": float("nan")}, "not finite"),
         ({"fl_x": "wide"}, "camera is not complete"),

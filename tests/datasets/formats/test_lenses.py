@@ -139,7 +139,7 @@ def test_k4_is_rational_only_where_the_file_says_so(make_scene: Callable[..., Sc
         camera = load_scene(k4_scene(tmp_path / f"{number}", scene, **lens, **more)).views[0].camera
         assert (camera.k1, camera.k3, camera.k4, camera.k5) == (-0.1, 0.01, 0.05, more.get("k5", 0.0))
     folder = k4_scene(tmp_path / "polynomial", scene, **lens)
-    with pytest.raises(DatasetError, match=r"k4 = 0\.05 as the fourth radial coefficient.*datasets undistort"):
+    with pytest.raises(DatasetError, match=r"k4 = 0\.05 as the fourth radial coefficient.*datasets edit .* --undistort"):
         load_scene(folder)
     camera = load_scene(folder, any_lens=True).views[0].camera
     x, y = 0.5, 0.3
@@ -147,12 +147,12 @@ def test_k4_is_rational_only_where_the_file_says_so(make_scene: Callable[..., Sc
     factor = 1 - 0.1 * r2 + 0.02 * r2**2 + 0.01 * r2**3 + 0.05 * r2**4
     assert np.abs(camera.distort([x, y]) - np.array([x, y]) * factor).max() < 1e-15
     assert np.abs(camera.undistort(camera.distort([x, y])) - [x, y]).max() < 1e-12
-    done = CliRunner().invoke(app, ["undistort", str(folder), "--out", str(tmp_path / "straight")])
+    done = CliRunner().invoke(app, ["edit", str(folder), "--undistort", "--out", str(tmp_path / "straight")])
     assert done.exit_code == 0 and load_scene(tmp_path / "straight").views[0].camera.is_centred
 
 
 def test_the_command_quotes_its_paths(with_lens: Callable[..., Path]) -> None:
     folder = with_lens("FOV", FOREIGN["FOV"])
     folder.rename(folder.parent / "my scene")
-    with pytest.raises(DatasetError, match=r"datasets undistort '.*/my scene' --out 'my scene_undistorted'"):
+    with pytest.raises(DatasetError, match=r"datasets edit '.*/my scene' --undistort --out 'my scene_undistorted'"):
         load_scene(folder.parent / "my scene")

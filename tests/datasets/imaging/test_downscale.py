@@ -6,7 +6,8 @@ import pytest
 
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core.errors import DatasetError
-from koala3d.datasets.imaging import bench, downscale, images
+from koala3d.datasets.imaging import downscale, images
+from tests.bench import reading
 
 RANDOM = np.random.default_rng(0)
 
@@ -65,6 +66,6 @@ def test_an_error_in_a_worker_ends_the_work(tmp_path: Path) -> None:
 
 
 def test_memory_does_not_grow_with_the_number_of_pictures() -> None:
-    found = bench.read_and_shrink(30, width=640, height=360)
+    found = reading.read_and_shrink(30, width=640, height=360)
     assert found["peak_growth_mb"] < 5  # the other twenty pictures would be 55 MB
     assert (found["small_width"], found["small_height"]) == (160, 90)

@@ -125,7 +125,7 @@ def test_an_interrupted_call_continues(six: Path, tmp_path: Path, monkeypatch: p
     detected = []
     whole = features.detect
 
-    def counted(path: Path) -> features.Features:
+    def counted(path: Path) -> features.PictureFeatures:
         if len(detected) == 3:
             raise Stop
         detected.append(path.name)

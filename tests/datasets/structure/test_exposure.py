@@ -7,7 +7,14 @@ import pytest
 
 from koala3d.datasets.imaging import images
 from koala3d.datasets.scene import Scene
-from koala3d.datasets.structure.exposure import measured_gains
+from koala3d.datasets.structure import bounds, matching
+from koala3d.datasets.structure.exposure import ExposureGains, exposure_gains
+
+
+def measured_gains(scene: Scene) -> ExposureGains:
+    matrices = np.stack([view.world_from_camera for view in scene.views])
+    pairs = matching.pairs_of(matrices, bounds.middle(matrices, scene.box), count=5)
+    return exposure_gains(matching.matched(scene.views, pairs), matrices)
 
 
 def dimmed(scene: Scene, gains: dict[int, tuple[float, float, float]]) -> Scene:

@@ -9,7 +9,7 @@ from koala3d.datasets import pose
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.scene import View
 from koala3d.datasets.structure.light_frame import FRAMES, light_frames, normals, turntable
-from koala3d.datasets.structure.matching import Features, Matches
+from koala3d.datasets.structure.matching import Matches, ViewFeatures
 from koala3d.datasets.structure.triangulate import Cloud
 
 CAMERA = Camera(200, 200, 250.0, 250.0, 100.0, 100.0)
@@ -38,7 +38,7 @@ def ball(frame: str, *, views: int = 24, lamp: float = 0.5, noise: float = 0.02)
         colours = albedo[seen] * light[:, None] * np.exp(random.normal(0, noise, (len(seen), 1)))
         local = (unit[seen] - place) @ matrix[:3, :3]
         features.append(
-            Features(local / local[:, 2:], np.zeros((len(seen), 128), np.float32), colours.astype(np.float32), 1 / 250)
+            ViewFeatures(local / local[:, 2:], np.zeros((len(seen), 128), np.float32), colours.astype(np.float32), 1 / 250)
         )
         matrices.append(TURN @ matrix)
         sightings.append(np.stack([seen, np.full(len(seen), view)], axis=1))

@@ -6,12 +6,12 @@ from koala3d.datasets import pose
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.scene import Scene
 from koala3d.datasets.structure import matching
-from koala3d.datasets.structure.matching import Features, match
+from koala3d.datasets.structure.matching import ViewFeatures, match
 
 
-def features(descriptors: np.ndarray) -> Features:
+def features(descriptors: np.ndarray) -> ViewFeatures:
     unit = (descriptors / np.linalg.norm(descriptors, axis=1, keepdims=True)).astype(np.float32)
-    return Features(np.zeros((len(unit), 3)), unit, np.zeros((len(unit), 3), np.float32), 1e-3)
+    return ViewFeatures(np.zeros((len(unit), 3)), unit, np.zeros((len(unit), 3), np.float32), 1e-3)
 
 
 def test_matches_are_mutual_and_clear() -> None:

@@ -8,7 +8,7 @@ import pytest
 from koala3d.datasets import pose
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.scene import View
-from koala3d.datasets.structure.matching import Features, Matches
+from koala3d.datasets.structure.matching import Matches, ViewFeatures
 from koala3d.datasets.structure.triangulate import agreement, endless_share, explained, triangulate
 
 CAMERA = Camera(640, 480, 600.0, 600.0, 320.0, 240.0)
@@ -24,7 +24,7 @@ def made(points: np.ndarray, count: int = 6) -> tuple[Matches, np.ndarray]:
     for matrix in matrices:
         local = (points - matrix[:3, 3]) @ matrix[:3, :3]
         features.append(
-            Features(
+            ViewFeatures(
                 local / local[:, 2:], np.zeros((len(points), 128), np.float32), np.ones((len(points), 3), np.float32), 1 / 600
             )
         )

@@ -16,7 +16,7 @@ def test_every_view_is_rendered_and_shown(ball: TrainedModel, tmp_path: Path) ->
 
 
 def test_a_diagnosis_can_be_written_as_json(ball: TrainedModel) -> None:
-    from koala3d.datasets.core.files import _plain
+    from koala3d.datasets.core.files import plain
 
-    content = json.loads(json.dumps(Diagnosis(**vars(diagnose(ball, pictures=False))).to_json(), default=_plain))
+    content = json.loads(json.dumps(Diagnosis(**vars(diagnose(ball, pictures=False))).to_json(), default=plain))
     assert len(content["views"]) == len(ball.scene.views) and {"name", "psnr", "gains", "shift_px"} <= content["views"][0].keys()

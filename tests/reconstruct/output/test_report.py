@@ -11,6 +11,7 @@ from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.imaging import images
+from koala3d.datasets.residuals import Residuals
 from koala3d.reconstruct.output import evaluate, report
 from koala3d.reconstruct.output.trained_model import TrainedModel
 from koala3d.reconstruct.training.decisions import record
@@ -66,7 +67,7 @@ def test_it_never_overwrites(ball: TrainedModel, tmp_path: Path) -> None:
 def test_calibration_is_shown_with_its_error(ball: TrainedModel, tmp_path: Path, simulated_session: Callable[..., Path]) -> None:
     camera = Camera(48, 40, 70.0, 70.0, 24.0, 20.0)
     recording = simulated_session(tmp_path / "board", hand_eye_shift_mm=0.25)
-    found = Calibration(camera, {}, UncertainPose(np.eye(4), np.eye(6)), residuals={"held_out_px": 0.125},
+    found = Calibration(camera, {}, UncertainPose(np.eye(4), np.eye(6)), residuals=Residuals(held_out_px=0.125),
                         provenance={"recording": str(recording)})  # fmt: skip
     found.save(tmp_path / "calibration.json")
     report.write(ball, tmp_path / "report", calibration=tmp_path / "calibration.json")

@@ -26,7 +26,7 @@ def dots() -> NDArray[np.float32]:
     return picture
 
 
-def nearest(found: features.Features) -> NDArray[np.float64]:
+def nearest(found: features.PictureFeatures) -> NDArray[np.float64]:
     """(5,) distance of the nearest feature from each dot's centre."""
     return np.linalg.norm(found.pixels[:, None] - DOTS, axis=-1).min(0)
 
@@ -86,14 +86,14 @@ def test_a_file_gives_the_features_back(tmp_path: Path) -> None:
     assert [marker.kind for marker in found.markers] == ["APRILTAG_36h11 5"]
     np.testing.assert_allclose(found.markers[0].corners, [[40, 40], [120, 40], [120, 120], [40, 120]], atol=0.6)
     found.save(tmp_path / "a.npz")
-    again = features.Features.load(tmp_path / "a.npz")
+    again = features.PictureFeatures.load(tmp_path / "a.npz")
     for key in ("pixels", "descriptors", "colours", "width", "height"):
         np.testing.assert_array_equal(getattr(again, key), getattr(found, key))
     assert [marker.kind for marker in again.markers] == ["APRILTAG_36h11 5"]
     np.testing.assert_array_equal(again.markers[0].corners, found.markers[0].corners)
     (tmp_path / "a.npz").write_bytes((tmp_path / "a.npz").read_bytes()[:100])
     with pytest.raises(DatasetError):
-        features.Features.load(tmp_path / "a.npz")
+        features.PictureFeatures.load(tmp_path / "a.npz")
 
 
 @pytest.mark.parametrize("name", ["DICT_4X4_50", "DICT_5X5_100", "DICT_6X6_250", "DICT_ARUCO_ORIGINAL", "DICT_APRILTAG_25h9"])

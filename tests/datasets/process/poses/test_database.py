@@ -8,7 +8,7 @@ import pytest
 
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.process.pictures import features, photographs
-from koala3d.datasets.process.pictures.features import Features
+from koala3d.datasets.process.pictures.features import PictureFeatures
 from koala3d.datasets.process.poses import database, reasons
 from koala3d.datasets.process.poses.database import Picture
 
@@ -71,7 +71,7 @@ def test_a_vocabulary_tree_chooses_pairs(pictures: list[Picture], path: Path, tm
 
 def picture_with(count: int, pictures: list[Picture]) -> Picture:
     none = np.zeros((count, 2), np.float32)
-    found = Features(9, 9, none, np.zeros((count, 128), np.uint8), np.zeros((count, 3), np.uint8), ())
+    found = PictureFeatures(9, 9, none, np.zeros((count, 128), np.uint8), np.zeros((count, 3), np.uint8), ())
     return Picture(9, "000009.png", pictures[0].photograph, 0, found)
 
 

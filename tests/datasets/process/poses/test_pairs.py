@@ -5,11 +5,11 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from koala3d.datasets.process.pictures.features import Features
+from koala3d.datasets.process.pictures.features import PictureFeatures
 from koala3d.datasets.process.poses import pairs
 
 
-def pictures_of(scenes: list[int]) -> list[Features]:
+def pictures_of(scenes: list[int]) -> list[PictureFeatures]:
     """Pictures with 60 features each, of which those of one scene share 30."""
     random = np.random.default_rng(0)
     known = {scene: random.integers(0, 120, (30, 128), dtype=np.uint8) for scene in sorted(set(scenes))}
@@ -18,7 +18,7 @@ def pictures_of(scenes: list[int]) -> list[Features]:
         own = random.integers(0, 120, (30, 128), dtype=np.uint8)
         descriptors = random.permutation(np.concatenate([known[scene] + random.integers(0, 4, (30, 128), dtype=np.uint8), own]))
         none = np.zeros((60, 2), np.float32)
-        result.append(Features(100, 80, none, descriptors, np.zeros((60, 3), np.uint8), ()))
+        result.append(PictureFeatures(100, 80, none, descriptors, np.zeros((60, 3), np.uint8), ()))
     return result
 
 
@@ -29,7 +29,7 @@ def test_pictures_of_one_scene_look_alike() -> None:
 
 
 def test_a_picture_without_features_looks_like_none() -> None:
-    empty = Features(9, 9, np.zeros((0, 2), np.float32), np.zeros((0, 128), np.uint8), np.zeros((0, 3), np.uint8), ())
+    empty = PictureFeatures(9, 9, np.zeros((0, 2), np.float32), np.zeros((0, 128), np.uint8), np.zeros((0, 3), np.uint8), ())
     assert pairs.alike([*pictures_of([0, 0]), empty]) == [(0, 1)]
 
 

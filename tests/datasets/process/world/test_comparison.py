@@ -8,10 +8,10 @@ import pytest
 
 from koala3d.datasets import pose
 from koala3d.datasets.core.errors import UsageError
-from koala3d.datasets.injuries.studio import Studio, write
 from koala3d.datasets.process.world.comparison import compared
 from koala3d.datasets.process.world.similarity import Similarity
 from koala3d.datasets.scene import Scene
+from tests.bench.studio import Studio, write
 
 
 @pytest.fixture

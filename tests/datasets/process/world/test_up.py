@@ -7,7 +7,7 @@ import pytest
 
 from koala3d.datasets import pose
 from koala3d.datasets.camera_model import Camera
-from koala3d.datasets.process.pictures.markers import Placed
+from koala3d.datasets.process.pictures.markers import PlacedMarker
 from koala3d.datasets.process.world import up
 from koala3d.datasets.process.world.similarity import upwards
 from koala3d.datasets.scene import View
@@ -78,8 +78,8 @@ def test_a_plane_above_the_cameras_is_no_ground() -> None:
 
 def test_markers_tell_up_unless_they_face_different_ways() -> None:
     square = np.array([[-1.0, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
-    flat = Placed("a 1", square @ TILT.T, 5)
-    upright = Placed("a 2", square[:, [0, 2, 1]] @ TILT.T, 5)
+    flat = PlacedMarker("a 1", square @ TILT.T, 5)
+    upright = PlacedMarker("a 2", square[:, [0, 2, 1]] @ TILT.T, 5)
     found = up.by_markers([flat])
     assert found is not None and angle_deg(found[0]) < 1e-6 and "a printed marker" in found[1]
     assert up.by_markers([flat, upright]) is None and up.by_markers([]) is None

@@ -1,1 +1,0 @@
-"""Studies: benchmark, comparison of methods, good sessions, the next views to take."""

@@ -1,0 +1,105 @@
+"""What the masks of a scene's views say: which colour is the object, and the space that holds it.
+
+Many masks are read for that. The answer is kept in Koala's cache for as long as files, cameras and poses stay the same.
+"""
+
+import hashlib
+import json
+import os
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import KoalaError
+from koala3d.datasets.imaging import images
+from koala3d.datasets.scene import View
+from koala3d.datasets.splits import evenly
+from koala3d.datasets.structure import bounds, polarity
+from koala3d.datasets.structure.hull import visual_hull
+
+VERSION = 1
+"""Raised when the same masks give another answer: older ones are then not used."""
+LOOKED_AT = 5
+"""Views of which one must have empty pixels, evenly spread."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outlined:
+    """What the masks or alphas of some views say."""
+
+    inverted: str = ""
+    """Why black is the object in the files of the masks; empty where white is."""
+    box: bounds.Box | None = None
+    """(2, 3) corners of the object's box; None where no pixel is marked as empty."""
+    near: float = 0.0
+    """Least depth of the object over all cameras."""
+    far: float = 0.0
+    """Greatest depth."""
+    views_used: int = 0
+    """Number of views whose masks were read; 0 where they exclude everything, and the box is all that the cameras see."""
+
+
+def outlined(views: Sequence[View]) -> Outlined:
+    """What masks or alphas say; computed once for the same files. Raises DatasetError where one of them is damaged."""
+    looked_at = evenly(views, LOOKED_AT)
+    if all(view.mask is None for view in views) and not any(images.channels(view.image) in (2, 4) for view in looked_at):
+        return Outlined()
+    path = _place(views)
+    if path is not None and (kept := _kept(path)):
+        return kept
+    found = _computed(views, looked_at)
+    if path is not None:
+        with suppress(OSError):  # the cache saves time, no more
+            files.make_folder(path.parent)
+            files.write_json(path, asdict(found))
+    return found
+
+
+def _computed(views: Sequence[View], looked_at: Sequence[View]) -> Outlined:
+    why = polarity.inverted(views) if all(view.mask is not None for view in views) else ""
+    if why:
+        views, looked_at = ([replace(view, mask_inverted=True) for view in some] for some in (views, looked_at))
+    if not any(map(_has_empty_pixels, looked_at)):
+        return Outlined(why)
+    train = [view for view in views if view.split == "train"] or views
+    hull = visual_hull(train, bounds.visible_box(train))
+    return Outlined(why, hull.box, *hull.depth_range(views), hull.views_used)
+
+
+def _has_empty_pixels(view: View) -> bool:
+    """True where a mask or an alpha marks pixels as empty; an opaque alpha does not count."""
+    if view.mask is None and images.channels(view.image) not in (2, 4):
+        return False
+    return float((view.read_image() if view.mask is None else view.read_mask())[..., -1].min()) < 0.5
+
+
+def _place(views: Sequence[View]) -> Path | None:
+    """File of the answer, named by what it depends on; None where a file is missing."""
+    rows = []
+    for view in views:
+        path = view.mask or view.image
+        try:
+            state = os.stat(path)
+        except OSError:
+            return None
+        camera = {**asdict(view.camera), "kind": type(view.camera).__name__}
+        rows.append([str(path.absolute()), state.st_size, state.st_mtime_ns, view.mask is None, view.mask_inverted])
+        rows[-1] += [view.split, view.world_from_camera.tolist(), camera]
+    key = hashlib.sha256(json.dumps([VERSION, rows], default=files.plain).encode()).hexdigest()[:24]
+    return files.cache_folder() / "outlines" / f"{key}.json"
+
+
+def _kept(path: Path) -> Outlined | None:
+    """The answer in a file of the cache; None where there is none, or it is damaged."""
+    try:
+        content: dict[str, Any] = files.read_json(path)
+        box = content["box"] if content["box"] is None else np.array(content["box"], np.float64).reshape(2, 3)
+        numbers = float(content["near"]), float(content["far"]), int(content["views_used"])
+        return Outlined(str(content["inverted"]), box, *numbers)
+    except (KoalaError, OSError, KeyError, TypeError, ValueError):
+        return None
