@@ -175,7 +175,7 @@ class RigDescription(Schema):
 
     @property
     def each(self) -> dict[str, Self]:
-        """A copy of the rig for each camera, as if that were its only one, by the camera's name. The only camera of a rig is called ""."""
+        """A copy of the rig for each camera, as if it were the only one, by the camera's name. The only camera of a rig is ""."""
         return {name: self._with(one) for name, one in self.cameras.items()} or {"": self}
 
     def _with(self, one: MountedCamera) -> Self:

@@ -26,7 +26,7 @@ class Rig:
 
     @property
     def each(self) -> "dict[str, Rig]":
-        """A copy of the rig for each camera, as if that were its only one, by the camera's name. The only camera of a rig is called ""."""
+        """A copy of the rig for each camera, as if it were the only one, by the camera's name. The only camera of a rig is ""."""
         return self.cameras or {"": self}
 
     @property
