@@ -1,4 +1,4 @@
-"""What a robot, a camera and a turntable must do. Drivers in `robots/`, `cameras/` and `turntables/` do it for real hardware.
+"""What a robot, a camera and a turntable must do. Drivers in `ur/`, `cameras/` and `turntable/` do it for real hardware.
 
 All are context managers: entering connects completely or leaves nothing open, leaving closes.
 """

@@ -104,3 +104,18 @@ def test_quoted_messages_exist() -> None:
 
 def test_a_message_that_does_not_exist_is_noticed() -> None:
     assert is_message("is not a koala-calibration file") and not is_message("is not a koala-calibration fil")
+
+
+def test_the_tree_of_folders_is_that_of_the_disk() -> None:
+    """The drawing in docs/index.md names each folder of the four packages, and no other."""
+    text = (DOCS / "index.md").read_text().split("## Which folder does what", 1)[1].split("```")[1]
+    drawn = set(re.findall(r"\b([a-z_]+)/", text))
+    there = {
+        path.name
+        for package in ("capture", "calib", "datasets", "reconstruct")
+        for path in (ROOT / package).iterdir()
+        if (path / "__init__.py").is_file()
+    }
+    assert there <= drawn, f"missing in the drawing: {sorted(there - drawn)}"
+    inner = {path.name for path in [*ROOT.iterdir(), *(ROOT / "configs").iterdir(), *(ROOT / "reconstruct/training").iterdir()]}
+    assert drawn <= there | inner, f"drawn, but not there: {sorted(drawn - there - inner)}"
