@@ -133,7 +133,9 @@ def chromium() -> Iterator[Any]:
 @contextmanager
 def served(package: str, words: list[str]) -> Iterator[str]:
     """The address of a command's page; the command runs inside the context."""
-    code = f"import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from {package}.cli import main; main()"
+    code = (
+        f"import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from koala3d.{package}.cli import main; main()"
+    )
     process = subprocess.Popen([sys.executable, "-c", code, *words, "--port", "0", "--json"], stdout=subprocess.PIPE, text=True)
     try:
         assert process.stdout is not None

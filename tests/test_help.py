@@ -13,7 +13,7 @@ DRAWS_HELP = {"typer", "rich", "pydantic"}
 PROGRAM = (
     "import atexit, json, sys\n"
     "atexit.register(lambda: print(json.dumps(sorted({{name.split('.')[0] for name in sys.modules}})), file=sys.stderr))\n"
-    "from {package}.cli import main; main()"
+    "from koala3d.{package}.cli import main; main()"
 )
 
 

@@ -111,7 +111,7 @@ def test_one_name_is_installed() -> None:
 
 def test_programs_in_strings_and_pages_import_koala3d() -> None:
     """In the root of the repository the short names are found too, and only there."""
-    short = re.compile(rf"(?:from|import) (?:{'|'.join((*PACKAGES, 'configs'))})(?:\.|;| import)")
+    short = re.compile(rf"(?:from|import) (?:{'|'.join((*PACKAGES, 'configs'))})(?:\.|;| import)|(?<!\.){{package}}\.cli")
     paths = [*modules(), *(ROOT / "tests").rglob("*.py"), *(ROOT / "docs").glob("*.md"), ROOT / "README.md"]
     found = {str(path.relative_to(ROOT)): short.findall(path.read_text()) for path in paths if path != Path(__file__)}
     assert not {path: names for path, names in found.items() if names}

@@ -41,12 +41,13 @@ STEPS = 400
 
 def set_words(*more: str) -> list[str]:
     """Options for the suite's one small model, and for what else is asked for."""
-    return [word for setting in (*SET, "surface.enabled=false", *more) for word in ("--set", setting)]
+    few_steps = ("surface.enabled=false", "field.density_bias=0")
+    return [word for setting in (*SET, *few_steps, *more) for word in ("--set", setting)]
 
 
 def run(package: str, *arguments: object) -> dict[str, Any]:
     """Run one command with --json as a process of its own and return what it printed."""
-    code = f"from {package}.cli import main; main()"
+    code = f"from koala3d.{package}.cli import main; main()"
     command = [sys.executable, "-c", code, *map(str, arguments), "--json"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=280, check=False)
     assert done.returncode == 0, done.stderr
@@ -58,7 +59,7 @@ def inside(run_inside: Callable[..., "subprocess.CompletedProcess[str]"]) -> Cal
     """Runs as `run` does, inside this process, which has imported everything already."""
 
     def command(package: str, *arguments: object) -> dict[str, Any]:
-        done = run_inside(import_module(f"{package}.cli").main, package, *arguments, "--json")
+        done = run_inside(import_module(f"koala3d.{package}.cli").main, package, *arguments, "--json")
         assert done.returncode == 0, done.stderr
         return json.loads(done.stdout)
 

@@ -94,7 +94,7 @@ def quoted_in_sentences(page: Path) -> list[Quoted]:
 @cache
 def command_line(package: str) -> Any:
     """A package's commands."""
-    return typer.main.get_command(importlib.import_module(f"{package}.cli").app)
+    return typer.main.get_command(importlib.import_module(f"koala3d.{package}.cli").app)
 
 
 def parse(words: tuple[str, ...], *, mention: bool = False) -> dict[str, Any]:
@@ -259,7 +259,9 @@ def test_arguments_of_other_programs_exist() -> None:
 def test_a_command_runs_as_a_module_too() -> None:
     """For when the command is not on the PATH; exiting silently would be worse than failing."""
     for package in PACKAGES:
-        done = subprocess.run([sys.executable, "-m", f"{package}.cli", "--help"], capture_output=True, text=True, timeout=120)
+        done = subprocess.run(
+            [sys.executable, "-m", f"koala3d.{package}.cli", "--help"], capture_output=True, text=True, timeout=120
+        )
         assert done.returncode == 0 and done.stdout.startswith("Usage:"), package
 
 

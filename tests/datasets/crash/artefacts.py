@@ -99,7 +99,7 @@ def _record(sources: Path, folder: Path, report: Report = lambda name: None) -> 
     both = Rigged()
     rig = Rig(both, both, RigDescription(), "lab", None, {})
     if not _planned:
-        _planned.extend(plan(trajectory, rig.flange_from_camera))
+        _planned.extend(plan(trajectory, rig.carrier))
     record(trajectory, rig, folder / "recording", planned=_planned, resume=True, advance=report)
 
 
