@@ -23,6 +23,9 @@ import pytest
 import typer
 
 from koala3d.datasets.core.errors import KoalaError
+from koala3d.datasets.core.help import PANELS
+from koala3d.reconstruct.listing import settings
+from koala3d.reconstruct.models import load_config
 
 ROOT = Path(__file__).parents[2]
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
@@ -254,6 +257,19 @@ def test_arguments_of_other_programs_exist() -> None:
         assert set(re.findall(r"'(?:\.|koala-capture)\[(\w+)\]'", text)) <= extras, page.name
     for quoted in BLOCKS:
         assert quoted.words[0] in (*PACKAGES, "colmap", "mkdir", "ssh", "pip", "python", "make"), str(quoted)
+
+
+def test_there_are_at_most_48_commands_and_85_settings() -> None:
+    """More would hide the ones that matter: a new one takes the place of another, or becomes an option or a default."""
+    shown = [name for package in PACKAGES for name, one in command_line(package).commands.items() if not one.hidden]
+    assert len(shown) <= 48, shown
+    assert len(settings(load_config())) <= 85
+
+
+def test_every_command_is_in_a_panel() -> None:
+    assert all(
+        one.hidden or one.rich_help_panel in PANELS for package in PACKAGES for one in command_line(package).commands.values()
+    )
 
 
 def test_a_command_runs_as_a_module_too() -> None:
