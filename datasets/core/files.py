@@ -4,6 +4,7 @@ Every file is written to a temporary name in its own folder, flushed to the disk
 never see half a file, even after a full disk, a killed process or a power cut.
 """
 
+import codecs
 import errno
 import hashlib
 import json
@@ -143,7 +144,7 @@ def read_json(path: Path, *, kind: str | None = None, version: int | None = None
     """
     path = Path(path)
     try:
-        content = json.loads(read_regular(path, MAX_JSON_BYTES, suffixes=(".json",)).decode("utf-8"))
+        content = json.loads(read_text(path, MAX_JSON_BYTES, suffixes=(".json",)))
     except (ValueError, RecursionError) as error:
         raise DatasetError("is not valid JSON", where=path, why=str(error), remedy="write it again") from None
     if kind is not None:
@@ -154,6 +155,18 @@ def read_json(path: Path, *, kind: str | None = None, version: int | None = None
             what, why = f"{kind} version {content.get('version')} cannot be read", f"this Koala reads version {version}"
             raise DatasetError(what, where=path, why=why, remedy="use the Koala version that wrote it")
     return content
+
+
+def read_text(path: Path, limit: int, *, suffixes: tuple[str, ...] = ()) -> str:
+    """The text of a regular file in UTF-8, or in UTF-16 if it begins as such; without the byte order mark that Excel writes.
+
+    Raises what `read_regular` raises, and DatasetError if the file is not text.
+    """
+    data = read_regular(path, limit, suffixes=suffixes)
+    try:
+        return data.decode("utf-16" if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise DatasetError("is not a text file", where=path, why=str(error), remedy="save it as text in UTF-8") from None
 
 
 def read_regular(path: Path, limit: int, *, suffixes: tuple[str, ...] = ()) -> bytes:

@@ -28,11 +28,8 @@ def parse(text: str, *, where: object) -> Any:
 
 
 def read_text(path: Path) -> str:
-    """Text of a YAML file of at most `MAX_BYTES`."""
-    try:
-        return files.read_regular(path, MAX_BYTES, suffixes=(".yaml", ".yml")).decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise UsageError("is not text", where=path, why=str(error), remedy="give a YAML file") from None
+    """Text of a YAML file of at most `MAX_BYTES`. Raises what `files.read_text` raises."""
+    return files.read_text(path, MAX_BYTES, suffixes=(".yaml", ".yml"))
 
 
 def compose(text: str, *, where: object) -> yaml.Node | None:

@@ -37,6 +37,8 @@ class Gathering:
     notes: list[str] = field(default_factory=list)
     rescaled: list[str] = field(default_factory=list)
     """Both sizes, for each view whose image has another size than its camera."""
+    tagged: list[str] = field(default_factory=list)
+    """Names of images whose EXIF orientation says that a viewer turns them."""
 
     def complain(self, error: KoalaError) -> None:
         """Collect an error, or raise it."""
@@ -65,8 +67,10 @@ class Gathering:
         return [self.file(mask, where=mask) if mask else None for mask in found]
 
     def fitted(self, camera: Camera, picture: Path, *, where: object) -> Camera:
-        """`fitted` of this module; images of another size than their camera are recorded."""
+        """`fitted` of this module; images of another size than their camera, or with an orientation tag, are recorded."""
         found = fitted(camera, picture, where=where)
+        if images.orientation(picture) != 1:
+            self.tagged.append(picture.name)
         if (found.width, found.height) != (camera.width, camera.height):
             self.rescaled.append(f"{camera.width}x{camera.height} for an image of {found.width}x{found.height}")
         return found
@@ -87,6 +91,10 @@ class Gathering:
             self.notes.append(
                 f"intrinsics of {len(self.rescaled)} of {len(self.views)} views are scaled to their images: "
                 f"the file says {self.rescaled[0]}{several}"
+            )
+        if self.tagged:
+            self.notes.append(
+                f"{len(self.tagged)} images have an EXIF orientation, which is not followed: poses belong to the stored pixels"
             )
         if not self.views:
             why = f"{listed_in} lists {len(self.missing)}, none of which exists" if self.missing else f"{listed_in} lists none"
@@ -125,6 +133,8 @@ def fitted(camera: Camera, picture: Path, *, where: object) -> Camera:
     if abs(width * camera.height / (height * camera.width) - 1) > SAME_SHAPE:
         why = f"it is {width}x{height}, the file says {camera.width}x{camera.height}"
         remedy = "use the images that it was made for"
+        if images.orientation(picture) >= 5:
+            remedy = "its EXIF orientation is not followed; if the poses were made for upright pictures, turn the stored ones"
         raise DatasetError("image has another shape than its camera", where=where, why=why, remedy=remedy)
     return camera.scaled(width, height)
 

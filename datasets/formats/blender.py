@@ -14,7 +14,7 @@ from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import KoalaError
 from koala3d.datasets.core.progress import Step, ignore
 from koala3d.datasets.formats import assemble, export, opengl, sidecar
-from koala3d.datasets.formats.links import Extra, file_name, link_all
+from koala3d.datasets.formats.links import Extra, copy_all, file_name
 from koala3d.datasets.imaging import images
 from koala3d.datasets.scene import DISPARITY, SPLITS, Scene, View
 
@@ -90,7 +90,7 @@ def save(scene: Scene, path: Path, *, extra: Extra = None, done: Step = ignore) 
             chosen = {name: p.view for name, p in placed.items() if p.view.split == split}
             if chosen or split == "train":
                 files.write_json(folder / f"transforms_{split}.json", _transforms(chosen))
-        link_all(extra, folder)
+        copy_all(extra, folder)
         sidecar.write(folder, scene, {name: p.view for name, p in placed.items()})
     return export.limits(scene, list(placed.values()), LAYOUT)
 

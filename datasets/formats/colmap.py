@@ -19,7 +19,7 @@ from koala3d.datasets.formats import assemble, colmap_library, export, llff, sid
 from koala3d.datasets.formats.colmap_files import Model, StoredCamera, StoredImage, read_model
 from koala3d.datasets.formats.finding import models
 from koala3d.datasets.formats.finding.pictures import Listing, homes, photographs
-from koala3d.datasets.formats.links import Extra, file_name, link_all, write_smaller
+from koala3d.datasets.formats.links import Extra, copy_all, file_name, write_smaller
 from koala3d.datasets.scene import Scene, Sightings, View
 
 _FOCALS, _TANGENTIAL = ("fx", "fy", "cx", "cy"), ("k1", "k2", "p1", "p2")
@@ -208,7 +208,7 @@ def save(
     """
     with files.atomic_folder(path) as folder:
         placed = export.place_all(scene.views, folder, lambda view: f"images/{file_name(view)}", LAYOUT, done)
-        link_all(extra, folder)
+        copy_all(extra, folder)
         write_smaller([p.view for p in placed], folder, sizes, lambda view, source: source.name)
         colmap_library.write_model(scene, [p.view for p in placed], folder / "sparse" / "0", text=text)
         sidecar.write(folder, scene, {p.view.image.stem: p.view for p in placed})

@@ -139,7 +139,7 @@ class _Cursor:
         end = self.data.find(b"\0", self.place, self.place + LONGEST_NAME)
         if end < 0:
             raise DatasetError("name is not terminated", where=self.path, why=f"at byte {self.place}", remedy="copy it again")
-        found = self.data[self.place : end].decode("utf-8", "replace")
+        found = self.data[self.place : end].decode("utf-8", "surrogateescape")
         self.place = end + 1
         return found
 
@@ -187,11 +187,7 @@ def _finite(points: NDArray[np.float64], path: Path) -> NDArray[np.float64]:
 
 def _lines(path: Path, *, keep_empty: bool = False) -> Iterator[tuple[str, list[str]]]:
     """(where, words) of each line that is not a comment."""
-    try:
-        text = files.read_regular(path, MAX_BYTES).decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise DatasetError("is not a text file", where=path, why=str(error)) from None
-    for number, line in enumerate(text.splitlines(), 1):
+    for number, line in enumerate(files.read_text(path, MAX_BYTES).splitlines(), 1):
         if not line.startswith("#") and (line.strip() or keep_empty):
             yield f"{path}, line {number}", line.split()
 

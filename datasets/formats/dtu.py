@@ -19,7 +19,7 @@ from koala3d.datasets.core.errors import DatasetError, KoalaError
 from koala3d.datasets.core.progress import Step, ignore
 from koala3d.datasets.formats import assemble, export, sidecar
 from koala3d.datasets.formats.finding import pictures
-from koala3d.datasets.formats.links import Extra, link_all
+from koala3d.datasets.formats.links import Extra, copy_all
 from koala3d.datasets.imaging import images
 from koala3d.datasets.scene import Scene, View
 from koala3d.datasets.structure import bounds
@@ -80,7 +80,7 @@ def save(scene: Scene, path: Path, *, extra: Extra = None, done: Step = ignore) 
         matrices |= {f"scale_mat_{number}": scale for number in range(len(placed))}
         with files.atomic_path(folder / CAMERAS[0]) as temporary:
             np.savez(temporary, allow_pickle=False, **matrices)
-        link_all(extra, folder)
+        copy_all(extra, folder)
         sidecar.write(folder, scene, {p.view.image.stem: p.view for p in placed})
     return export.limits(scene, placed, LAYOUT)
 

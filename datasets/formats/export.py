@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core.errors import DatasetError
 from koala3d.datasets.core.progress import Step
-from koala3d.datasets.formats.links import file_name, link, new_file
+from koala3d.datasets.formats.links import copy, file_name, new_file
 from koala3d.datasets.imaging import images, undistort
 from koala3d.datasets.scene import DISPARITY, Scene, View
 
@@ -111,7 +111,7 @@ def limits(scene: Scene, placed: Sequence[PlacedView], layout: Layout) -> str:
 
 
 def _kept(source: Path, folder: Path, stem: str) -> Path:
-    return link(source, folder, stem + source.suffix)
+    return copy(source, folder, stem + source.suffix)
 
 
 def _redrawn(view: View, folder: Path, stem: str, pinhole: undistort.Pinhole | None, *, merged: bool) -> Path:

@@ -1,7 +1,7 @@
 """Koala's own format: a complete scene in one folder, written atomically.
 
 SCENE/cameras.json   version, bounds, background, and for each view its camera, pose, split and files
-SCENE/images/        as captured, never re-encoded (a hard link where the disk allows)
+SCENE/images/        as captured, never re-encoded (hard links to files of Koala, copies of others)
 SCENE/images_N/      the same at 1/N of the size, on request
 SCENE/masks/         where there are masks, with masks_N
 SCENE/deviations/    standard deviations of images that are merged from several exposures
@@ -21,7 +21,7 @@ from koala3d.datasets.core import arrays, files
 from koala3d.datasets.core.errors import DatasetError, KoalaError
 from koala3d.datasets.core.progress import Step, ignore
 from koala3d.datasets.formats import assemble, sidecar
-from koala3d.datasets.formats.links import Extra, file_name, link, link_all, write_smaller
+from koala3d.datasets.formats.links import Extra, file_name, link, write_smaller
 from koala3d.datasets.scene import DISPARITY, SPLITS, Scene, Sightings, View, checked_name
 
 FILE = "cameras.json"
@@ -41,7 +41,8 @@ def save(scene: Scene, path: Path, *, extra: Extra = None, done: Step = ignore, 
         for view in scene.views:
             views.append(_saved_view(view, folder))
             done()
-        link_all(extra, folder)
+        for name, source in (extra or {}).items():
+            link(source, folder, name)
         write_smaller(scene.views, folder, sizes, lambda view, source: f"{file_name(view)}{source.suffix}")
         if scene.points is not None:
             _save_points(scene, folder / POINTS)

@@ -17,7 +17,7 @@ from koala3d.datasets.core.errors import DatasetError, KoalaError
 from koala3d.datasets.core.progress import Step, ignore
 from koala3d.datasets.formats import assemble, export, sidecar
 from koala3d.datasets.formats.finding import pictures
-from koala3d.datasets.formats.links import Extra, file_name, link_all, write_smaller
+from koala3d.datasets.formats.links import Extra, copy_all, file_name, write_smaller
 from koala3d.datasets.scene import Scene, View
 from koala3d.datasets.structure import bounds
 
@@ -78,7 +78,7 @@ def save(scene: Scene, path: Path, *, extra: Extra = None, done: Step = ignore, 
         rows = [row_of(v.world_from_camera, v.camera, *bounds.depth_range([v], scene.box)) for v in ordered]
         with files.atomic_path(folder / FILE) as temporary:
             np.save(temporary, np.stack(rows))
-        link_all(extra, folder)
+        copy_all(extra, folder)
         write_smaller(ordered, folder, sizes, lambda view, source: source.name)
         by_name = {view.image.stem: view for view in (p.view for p in placed)}
         sidecar.write(folder, scene, by_name)

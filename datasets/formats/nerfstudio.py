@@ -17,7 +17,7 @@ from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import DatasetError, KoalaError
 from koala3d.datasets.core.progress import Step, ignore
 from koala3d.datasets.formats import assemble, export, opengl, ply, sidecar
-from koala3d.datasets.formats.links import Extra, file_name, link_all, write_smaller
+from koala3d.datasets.formats.links import Extra, copy_all, file_name, write_smaller
 from koala3d.datasets.imaging import downscale, images
 from koala3d.datasets.scene import SPLITS, Scene, View
 
@@ -149,7 +149,7 @@ def save(scene: Scene, path: Path, *, extra: Extra = None, done: Step = ignore, 
             ply.write_points(folder / "sparse.ply", scene.points, scene.colours)
             content["ply_file_path"] = "sparse.ply"
         files.write_json(folder / FILE, content)
-        link_all(extra, folder)
+        copy_all(extra, folder)
         sidecar.write(folder, scene, {v.image.relative_to(folder).with_suffix("").as_posix(): v for v in views})
     return export.limits(scene, placed, LAYOUT)
 

@@ -1,7 +1,8 @@
 """Images on disk and in memory. The only module that imports OpenImageIO.
 
 In memory an image is (height, width, channels). 8- and 16-bit files are scaled to 0..1 and not converted otherwise: an sRGB
-file gives sRGB values, alpha stays straight. Float files (EXR, TIFF) are not scaled.
+file gives sRGB values, alpha is straight. Float files (EXR, TIFF) are not scaled. Pixels are taken as they are stored, whatever
+an orientation tag says: `imaging.orientation`.
 """
 
 import errno
@@ -18,7 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 from koala3d.datasets.core import files
 from koala3d.datasets.core.budgets import budget, free_memory
 from koala3d.datasets.core.errors import DatasetError, UsageError
-from koala3d.datasets.imaging.pixels import area_average, upright
+from koala3d.datasets.imaging import layers
+from koala3d.datasets.imaging.pixels import area_average
 
 PIXELS = "KOALA_MAX_PIXELS"
 FREE_PIXELS, PIXELS_PER_BYTE = 2**25, 64
@@ -41,7 +43,7 @@ FLOAT_SUFFIXES = frozenset({".exr", ".tif", ".tiff"})
 
 
 def read(path: Path) -> NDArray[np.float32]:
-    """(height, width, channels) float32 of an image file, rotated by its orientation tag.
+    """(height, width, channels) float32 of an image file.
 
     Raises:
         UsageError: there is no such file.
@@ -57,8 +59,9 @@ def read_stored(path: Path) -> NDArray[Any]:
 
 def _decoded(path: Path, kind: str | None) -> NDArray[Any]:
     """The image as an array of type `kind`; None for that of the file."""
-    source, orientation = _open(path)
-    stored = str(source.spec().format)
+    source = _open(path)
+    spec = source.spec()
+    stored = str(spec.format)
     try:
         pixels = source.read_image(kind or (stored if stored in _STEPS else "float"))
         complaint = source.geterror()
@@ -68,34 +71,41 @@ def _decoded(path: Path, kind: str | None) -> NDArray[Any]:
         source.close()
     if pixels is None or complaint:
         raise DatasetError("image cannot be read", where=path, why=complaint or "decoding failed", remedy="copy it again")
-    if pixels.ndim == 2:
-        pixels = pixels[..., None]
-    return np.ascontiguousarray(upright(pixels, orientation))
+    pixels = pixels[..., None] if pixels.ndim == 2 else pixels
+    if (kept := layers.chosen(spec)) != list(range(spec.nchannels)):
+        pixels = pixels[..., kept]
+    if layers.has_associated_alpha(spec) and kept[-1] == spec.alpha_channel:
+        pixels = layers.straight(pixels)
+    return np.ascontiguousarray(layers.whole(pixels, spec))
 
 
 def size(path: Path) -> tuple[int, int]:
     """(width, height) of an image as `read` would return it, from the header alone. Raises as `read` does."""
-    spec, orientation = header(path)
-    return (spec.height, spec.width) if orientation >= 5 else (spec.width, spec.height)
+    return layers.size(header(path))
+
+
+def orientation(path: Path) -> int:
+    """EXIF's number for how a viewer should turn an image: 1 for not at all, 2 to 8 else. Raises as `read` does."""
+    return int(header(path).getattribute("Orientation") or 1)
 
 
 def channels(path: Path) -> int:
     """Number of channels of an image, from the header alone; 2 and 4 include an alpha. Raises as `read` does."""
-    return header(path)[0].nchannels
+    return len(layers.chosen(header(path)))
 
 
 def steps(path: Path) -> int:
     """The divisor of `read`, from the header alone: 255 or 65535 for integers, 1 for floats."""
-    return _STEPS.get(str(header(path)[0].format), 1)
+    return _STEPS.get(str(header(path).format), 1)
 
 
 def metadata(path: Path) -> dict[str, str | int | float]:
     """How an image was taken, from its header: camera, exposure, time, description.
 
-    The orientation is left out, since `read` applies it. Raises as `read` does.
+    The orientation is left out: what is written says upright. Raises as `read` does.
     """
     found: dict[str, Any] = {}
-    for entry in header(path)[0].extra_attribs:
+    for entry in header(path).extra_attribs:
         try:
             found[entry.name] = entry.value
         except UnicodeDecodeError:  # text in another encoding, which nothing depends on
@@ -129,6 +139,8 @@ def write(path: Path, array: ArrayLike, *, metadata: Mapping[str, str | int | fl
     height, width, channels = pixels.shape
     kinds = {np.dtype(np.float32): "float", np.dtype(np.float16): "half"}
     spec = oiio.ImageSpec(width, height, channels, kinds.get(pixels.dtype, pixels.dtype.name))
+    if path.suffix.lower() == ".exr" and channels in (2, 4):  # its colours are multiplied by their alpha
+        pixels = np.concatenate([pixels[..., :-1] * pixels[..., -1:], pixels[..., -1:]], axis=-1)
     spec.attribute("oiio:UnassociatedAlpha", 1)
     spec.attribute("compression", "zip" if path.suffix.lower() in FLOAT_SUFFIXES else "jpeg:95")
     for name, value in (metadata or {}).items():
@@ -237,13 +249,18 @@ def resize_light(light: NDArray[np.float32], width: int, height: int) -> NDArray
     return np.concatenate([straight, small_alpha], axis=-1, dtype=np.float32)
 
 
-def _open(path: Path) -> tuple[Any, int]:
-    """An open OpenImageIO input, its header checked, and the orientation tag (1 is upright)."""
+def _open(path: Path) -> Any:
+    """An open OpenImageIO input, its header checked."""
     import OpenImageIO as oiio
 
     path = Path(path)
     if not path.is_file():
         raise UsageError("no such image", where=path, remedy="check the path")
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        name = str(path).encode(errors="backslashreplace").decode()
+        raise DatasetError("name of the image is not UTF-8", where=name, remedy="rename it") from None
     with open(path, "rb") as file:
         if not file.read(4).startswith(MAGIC):  # the library would try dozens of other formats, some of which run programs
             why = "the file is empty" if path.stat().st_size == 0 else "it is not a PNG, JPEG, TIFF or EXR"
@@ -262,13 +279,14 @@ def _open(path: Path) -> tuple[Any, int]:
     if complaint is not None:
         source.close()
         raise complaint
-    return source, int(spec.getattribute("Orientation") or 1)
+    return source
 
 
 def _beyond(spec: Any, path: Path) -> DatasetError | None:
     """What is wrong with the size that a header states; None where it is within the budget."""
-    size, stored = f"its header says {spec.width}x{spec.height}x{spec.nchannels}", path.stat().st_size
-    pixels = spec.width * spec.height * max(spec.nchannels, 4) / 4
+    width, height = (max(pair) for pair in zip(layers.size(spec), (spec.width, spec.height), strict=True))
+    size, stored = f"its header says {width}x{height}x{spec.nchannels}", path.stat().st_size
+    pixels = width * height * max(spec.nchannels, 4) / 4
     allowed = budget(PIXELS, max(FREE_PIXELS, PIXELS_PER_BYTE * stored))
     remedy = f"if you trust the file, set {PIXELS} to a larger number"
     if not 0 < pixels <= allowed or spec.nchannels > 64 or spec.depth > 1:
@@ -285,12 +303,12 @@ def _beyond(spec: Any, path: Path) -> DatasetError | None:
     return None
 
 
-def header(path: Path) -> tuple[Any, int]:
-    """OpenImageIO's specification of a file, and the orientation tag."""
-    source, orientation = _open(path)
+def header(path: Path) -> Any:
+    """OpenImageIO's specification of a file."""
+    source = _open(path)
     spec = source.spec()
     source.close()
-    return spec, orientation
+    return spec
 
 
 def _is_whole(path: Path) -> bool:

@@ -31,7 +31,7 @@ def _overlaps(old: int, new: int) -> Any:
 
 
 def upright(pixels: NDArray[Any], orientation: int) -> NDArray[Any]:
-    """Undo an EXIF orientation: 5 to 8 transpose, the others only mirror."""
+    """(height, width, channels) as a viewer shows them: orientations 5 to 8 exchange rows and columns, the others mirror."""
     if orientation >= 5:
         pixels = pixels.transpose(1, 0, 2)
     if orientation in (3, 4, 7, 8):

@@ -57,12 +57,11 @@ def read_stored(path: Path, width: int, height: int) -> NDArray[Any]:
 
     A file that does not end as a JPEG should is decoded whole, which finds out whether it is cut off.
     """
-    spec, orientation = images.header(path)
-    wide, high = (height, width) if orientation >= 5 else (width, height)
+    spec = images.header(path)
     enough = [
         by
         for by in (8, 4, 2)
-        if spec.width % by == spec.height % by == 0 and min(spec.width / wide, spec.height / high) >= by * LEFT
+        if spec.width % by == spec.height % by == 0 and min(spec.width / width, spec.height / height) >= by * LEFT
     ]
     if not enough or spec.nchannels not in (1, 3) or not _is_whole_jpeg(path):
         return images.read_stored(path)
@@ -74,7 +73,7 @@ def read_stored(path: Path, width: int, height: int) -> NDArray[Any]:
     if pixels is None:
         return images.read_stored(path)
     pixels = cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB) if spec.nchannels == 3 else pixels[..., None]
-    return np.ascontiguousarray(images.upright(np.asarray(pixels), orientation))
+    return np.ascontiguousarray(pixels)
 
 
 def _is_whole_jpeg(path: Path) -> bool:

@@ -13,7 +13,7 @@ from koala3d.datasets.core.errors import DatasetError, UsageError
 from koala3d.datasets.formats import colmap, koala
 from koala3d.datasets.formats.links import link
 from koala3d.datasets.imaging.downscale import streamed
-from koala3d.datasets.process.pictures import features, frames, photographs
+from koala3d.datasets.process.pictures import features, frames, photographs, upright
 from koala3d.datasets.process.pictures.features import PictureFeatures
 from koala3d.datasets.process.pictures.markers import Marker
 from koala3d.datasets.process.pictures.photographs import Photographs
@@ -72,6 +72,7 @@ def process(source: Path, out: Path, request: Request, wishes: Wishes) -> Proces
     found, resumed = _pictures(source, work, request)
     if resumed:
         console.hint(f"continuing in {work.folder}")
+    found, turned = upright.copies(found, work.upright)
     pictures, damaged = _searched(found, work, request)
     _matched(pictures, work, request, in_order=frames.is_video(source))
     groups = _mapped(pictures, work, source)
@@ -83,7 +84,7 @@ def process(source: Path, out: Path, request: Request, wishes: Wishes) -> Proces
     aligned = alignment.align(scene, seen, wishes)
     known: dict[str, Any] = {"format": "photographs", "source": str(source.absolute()), "left_out": left_out}
     known |= {"scale_from": aligned.scale_from, "up_from": aligned.up_from, "groups": [len(group) for group in groups]}
-    scene = replace(aligned.scene, provenance=known, notes=_notes(left_out, given, groups, found.ignored))
+    scene = replace(aligned.scene, provenance=known, notes=turned + _notes(left_out, given, groups, found.ignored))
     koala.save(scene, out)
     work.remove()
     sizes = tuple(len(group) for group in groups)

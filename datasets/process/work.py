@@ -2,6 +2,7 @@
 
 OUT.work/request.json   what the work is about; other pictures start it anew, other choices its second half
 OUT.work/frames/        those chosen from a video
+OUT.work/upright/       copies of photographs that were stored in another orientation
 OUT.work/features/      features of each picture
 OUT.work/matches.db     pycolmap's database
 OUT.work/images/        the pictures, named by number
@@ -25,6 +26,7 @@ class Work:
     def __init__(self, out: Path) -> None:
         self.folder = out.with_name(f"{out.name}.work")
         self.frames = self.folder / "frames"
+        self.upright = self.folder / "upright"
         self.features = self.folder / "features"
         self.database = self.folder / "matches.db"
         self.images = self.folder / "images"

@@ -18,7 +18,7 @@ FEWEST = 3
 
 @dataclass(frozen=True)
 class Photograph:
-    """One picture, upright as its EXIF orientation says."""
+    """One picture. Its size is that of the upright one."""
 
     name: str
     """Of the view: the file's name without its suffix, unless two files share that."""
@@ -29,6 +29,8 @@ class Photograph:
     """What it has in common with the other pictures of its camera."""
     focal_px: float | None = None
     """Focal length by its header; None where it states none."""
+    is_upright: bool = True
+    """False if its EXIF orientation says that the stored pixels are to be turned."""
 
 
 @dataclass(frozen=True)
@@ -59,13 +61,15 @@ def find(folder: Path) -> Photographs:
     for path in paths:
         name = path.stem if stems[path.stem] == 1 else f"{path.stem}_{path.suffix[1:]}"
         try:
-            (width, height), header = images.size(path), images.metadata(path)
+            (width, height), header, turn = images.size(path), images.metadata(path), images.orientation(path)
         except DatasetError as error:
             damaged[path.name] = f"{error.what}: {error.why}"
             continue
         focal = exif.focal_length(header, width, height)
+        if turn >= 5:
+            width, height = height, width
         name = checked_name(name, where=path)
-        photographs.append(Photograph(name, path, width, height, exif.lens(header), focal))
+        photographs.append(Photograph(name, path, width, height, exif.lens(header), focal, turn == 1))
     if len(photographs) < FEWEST:
         why = f"{len(damaged)} of {len(paths)} pictures cannot be read, such as {next(iter(damaged))}"
         raise UsageError("too few pictures can be read", where=folder, why=why, remedy="copy them again")

@@ -89,7 +89,7 @@ def read_positions(path: Path) -> dict[str, Array]:
         DatasetError: a line is of another form, or a name is listed twice.
     """
     found: dict[str, Array] = {}
-    lines = files.read_regular(path, MAX_BYTES, suffixes=(".txt", ".csv")).decode("utf-8", "replace").splitlines()
+    lines = files.read_text(path, MAX_BYTES, suffixes=(".txt", ".csv")).splitlines()
     for number, line in enumerate(lines, 1):
         words = line.replace(",", " ").split()
         if not words or words[0].startswith("#"):

@@ -125,13 +125,16 @@ def test_grey_jpegs_and_masks_are_reduced_alike(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("orientation", photographs.ORIENTATIONS)
-def test_orientation_is_applied_to_what_is_reduced(tmp_path: Path, orientation: int) -> None:
+def test_what_is_reduced_is_read_as_it_is_stored(tmp_path: Path, orientation: int) -> None:
     path = tmp_path / "a.jpg"
     photographs.write(path, photographs.corners(320, 256), orientation=orientation)
-    small = reduced.read_stored(path, 40, 32)
-    assert small.shape == (128, 160, 3), "the premise: half of its pixels are decoded along each axis"
-    shown = images.resize(images.as_float(photographs.shown(path)), 160, 128)
-    assert np.abs(images.as_float(small) - shown).max() < 3 / 255  # turned the wrong way, corners are off by a hundred
+    stored = images.read_stored(path)
+    high, wide = stored.shape[0] // 2, stored.shape[1] // 2
+    small = reduced.read_stored(path, wide // 4, high // 4)
+    assert small.shape == (high, wide, 3), "the premise: half of its pixels are decoded along each axis"
+    assert (
+        np.abs(images.as_float(small) - images.resize(images.as_float(stored), wide, high)).max() < 3 / 255
+    )  # turned the wrong way, corners are off by a hundred
 
 
 def test_sizes_that_do_not_divide_are_decoded_whole(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from koala3d.datasets.core.errors import UsageError
-from koala3d.datasets.process.pictures import exif, features
+from koala3d.datasets.process.pictures import exif, features, upright
 from koala3d.datasets.process.pictures.photographs import cameras, find
 from tests.foreign import photographs
 
@@ -89,7 +89,9 @@ def test_turned_pictures_are_searched_upright(tmp_path: Path) -> None:
     assert len(found) == 8 and {(photograph.width, photograph.height) for photograph in found} == {(240, 160)}
     assert [photograph.focal_px for photograph in found] == pytest.approx([26 * np.hypot(240, 160) / np.hypot(36, 24)] * 8)
     assert cameras(found, "auto") == [0] * 8
-    first, *turned = (features.detect(photograph.path) for photograph in found)
+    copied, notes = upright.copies(find(tmp_path), tmp_path / "upright")
+    assert notes == ("7 pictures are turned upright, as their EXIF orientation says",)
+    first, *turned = (features.detect(photograph.path) for photograph in copied.photographs)
     assert len(first.pixels) > 50
     for again in turned:
         assert (again.width, again.height) == (240, 160)
