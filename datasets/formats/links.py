@@ -53,7 +53,7 @@ def link(source: Path, folder: Path, name: str) -> Path:
 
 
 def copy(source: Path, folder: Path, name: str) -> Path:
-    """A copy of `source` as `name` below `folder`. A picture with an orientation tag loses it; its pixels stay as they are stored.
+    """A copy of `source` as `name` below `folder`. Its pixels stay as they are stored; an orientation tag is left out.
 
     Raises:
         DatasetError: `source` is no regular file, or truth behind a link; `name` exists already or leaves the folder.

@@ -1,4 +1,4 @@
-"""What a file's channels are: colours and alpha are chosen by name, an associated alpha becomes straight, a part becomes the whole.
+"""What a file's channels are: colours and alpha are found by name, an associated alpha becomes straight, a part the whole.
 
 The colours of an EXR are multiplied by its alpha, and those of some TIFFs. An EXR may hold further channels (depth, masks of
 renderers), and only the part of the picture that shows anything.

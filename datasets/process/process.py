@@ -84,7 +84,7 @@ def process(source: Path, out: Path, request: Request, wishes: Wishes) -> Proces
     aligned = alignment.align(scene, seen, wishes)
     known: dict[str, Any] = {"format": "photographs", "source": str(source.absolute()), "left_out": left_out}
     known |= {"scale_from": aligned.scale_from, "up_from": aligned.up_from, "groups": [len(group) for group in groups]}
-    scene = replace(aligned.scene, provenance=known, notes=turned + _notes(left_out, given, groups, found.ignored))
+    scene = replace(aligned.scene, provenance=known, notes=_notes(left_out, given, groups, found.ignored) + turned)
     koala.save(scene, out)
     work.remove()
     sizes = tuple(len(group) for group in groups)

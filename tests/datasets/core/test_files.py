@@ -102,8 +102,8 @@ def test_json_checks_kind_and_version(tmp_path: Path) -> None:
     assert not (tmp_path / "b").exists()
     with pytest.raises(UsageError, match="no such file"):
         files.read_json(tmp_path / "none")
-    (tmp_path / "c").write_bytes(b"\xff\xfe{")
-    with pytest.raises(DatasetError, match="not valid JSON"):
+    (tmp_path / "c").write_bytes(b"\xff{")
+    with pytest.raises(DatasetError, match="not a text file"):
         files.read_json(tmp_path / "c")
 
 
@@ -124,3 +124,10 @@ def test_a_missing_file_suggests_the_nearest_name(tmp_path: Path) -> None:
         files.write_json(tmp_path / f"{index}.json", {})
     with pytest.raises(UsageError, match="check the path"):
         files.read_json(tmp_path / "run_of_mine.json")
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_text_is_read_without_its_byte_order_mark(tmp_path: Path, encoding: str) -> None:
+    """Excel and PowerShell write one; PowerShell's `>` writes UTF-16."""
+    (tmp_path / "a.json").write_text('{"name": "Süd"}', encoding=encoding)
+    assert files.read_json(tmp_path / "a.json") == {"name": "Süd"}

@@ -1,4 +1,4 @@
-"""Pictures with EXIF orientations in the folders of other programs: poses belong to the stored pixels, and exports carry no tag."""
+"""Pictures with EXIF orientations in folders of other programs: poses belong to the stored pixels, exports carry no tag."""
 
 import json
 from pathlib import Path

@@ -101,7 +101,9 @@ def test_what_is_left_out_is_named_with_the_reason(finished) -> None:
     assert "too few features" in result.left_out["grey.png"]
     assert "too few matches" in result.left_out["elsewhere.png"]
     assert "3 of 13 pictures are left out" in load_scene(out).notes[0]
-    assert load_scene(out).notes[1:] == ("files of other kinds are not read: notes.txt",)
+    ignored, turned = load_scene(out).notes[1:]
+    assert ignored == "files of other kinds are not read: notes.txt"
+    assert "3 pictures are turned upright, as their EXIF orientation says" in turned
     assert not out.with_name("table.work").exists()
 
 
