@@ -9,6 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 """Camera coordinates with y up and z back (Blender, nerfstudio) to ours; its own inverse."""
 
+OPENCV_FROM_MITSUBA = np.diag([-1.0, -1.0, 1.0, 1.0])
+"""Camera coordinates with x left, y up, z forward (Mitsuba, instant-ngp's "from_mitsuba") to ours; its own inverse."""
+
 OPENCV_FROM_LLFF = np.array([[0.0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]])
 """Camera coordinates with x down, y right, z back (poses_bounds.npy) to ours; its own inverse."""
 

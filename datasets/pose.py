@@ -12,6 +12,8 @@ from koala3d.datasets.core.errors import DatasetError
 
 Matrix = NDArray[np.float64]
 
+SMALLEST = 1e-6
+"""Scales below this are mistakes, and so are those above its inverse."""
 FURTHEST = 1e12
 """Positions further away than this [world unit] are mistakes: their products would lose all digits."""
 
@@ -90,6 +92,27 @@ def look_at(position: ArrayLike, target: ArrayLike, up: ArrayLike = (0, 0, 1)) -
     return rigid(np.stack([right, np.cross(forward, right), forward], axis=-1), position)
 
 
+def unscaled(pose: ArrayLike) -> tuple[ArrayLike, float]:
+    """A matrix whose columns are at right angles, with the lengths of the first three divided out, and their mean; else as given.
+
+    Returns 1 as the mean length of what is no such matrix, for `checked` to complain.
+    """
+    try:
+        matrix = np.array(pose, np.float64)
+    except (TypeError, ValueError):
+        return pose, 1.0
+    if matrix.shape not in ((3, 4), (4, 4)) or not np.isfinite(matrix).all():
+        return pose, 1.0
+    lengths = np.linalg.norm(matrix[:3, :3], axis=0)
+    if not (SMALLEST < lengths).all() or not (lengths < 1 / SMALLEST).all():
+        return pose, 1.0
+    turned = matrix[:3, :3] / lengths
+    if np.abs(turned.T @ turned - np.eye(3)).max() > 1e-3:
+        return pose, 1.0
+    matrix[:3, :3] = turned
+    return matrix, float(lengths.mean())
+
+
 def checked(pose: ArrayLike, *, where: object, tolerance: float = 1e-3) -> Matrix:
     """`pose` as a (4, 4) float64 rigid transform, its rotation projected to the nearest orthonormal one.
 
@@ -115,6 +138,8 @@ def checked(pose: ArrayLike, *, where: object, tolerance: float = 1e-3) -> Matri
         raise DatasetError("pose is left-handed", where=where, why=why, remedy=remedy)
     error = np.abs(u @ vt - matrix[:3, :3]).max()
     if error > tolerance:
-        why = f"rotation is {error:.3g} away from orthonormal"
-        raise DatasetError("pose is not a rotation and a translation", where=where, why=why)
+        lengths = ", ".join(f"{length:.4g}" for length in np.linalg.norm(matrix[:3, :3], axis=0))
+        why = f"rotation is {error:.3g} away from orthonormal; its columns have the lengths {lengths}"
+        remedy = "write rotations without scale or shear"
+        raise DatasetError("pose is not a rotation and a translation", where=where, why=why, remedy=remedy)
     return rigid(u @ vt, matrix[:3, 3])

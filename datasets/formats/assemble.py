@@ -21,6 +21,10 @@ from koala3d.datasets.structure.outlined import outlined
 
 SHORTEST, LONGEST = 1e-3, 1e6
 """Range of plausible focal lengths, in image widths."""
+SCALED = 1e-3
+"""Scale of a rotation that more than rounding explains."""
+FEW = 0.25
+"""Share of views without a mask up to which they are left out; of more, the masks are."""
 CAMERAS_ALONE = "cameras alone"
 """`Scene.bounds_from` where only the poses of the cameras are known."""
 
@@ -37,6 +41,8 @@ class Gathering:
     notes: list[str] = field(default_factory=list)
     rescaled: list[str] = field(default_factory=list)
     """Both sizes, for each view whose image has another size than its camera."""
+    scales: list[float] = field(default_factory=list)
+    """Scale that the rotation of each pose had and that was divided out."""
     tagged: list[str] = field(default_factory=list)
     """Names of images whose EXIF orientation says that a viewer turns them."""
 
@@ -92,6 +98,9 @@ class Gathering:
                 f"intrinsics of {len(self.rescaled)} of {len(self.views)} views are scaled to their images: "
                 f"the file says {self.rescaled[0]}{several}"
             )
+        if any(abs(scale - 1) > SCALED for scale in self.scales):
+            least, most = min(self.scales), max(self.scales)
+            self.notes.append(f"rotations have a scale of {least:.4g} to {most:.4g}, which is divided out")
         if self.tagged:
             self.notes.append(
                 f"{len(self.tagged)} images have an EXIF orientation, which is not followed: poses belong to the stored pixels"
@@ -99,18 +108,36 @@ class Gathering:
         if not self.views:
             why = f"{listed_in} lists {len(self.missing)}, none of which exists" if self.missing else f"{listed_in} lists none"
             raise DatasetError("scene has no images", where=self.folder, why=why, remedy="put the images in place")
-        without = [view.name for view in self.views if view.mask is None]
-        if 0 < len(without) < len(self.views):
-            why = f"{len(without)} of {len(self.views)} have none: {', '.join(without[:5])}"
-            remedy = "give all of them one, or rename the folder of masks to do without"
-            self.complain(DatasetError("only some views have a mask", where=self.folder, why=why, remedy=remedy))
-            self.views = [replace(view, mask=None) for view in self.views]
+        self._part_masks()
+        self._tell_apart()
         for view in self.views:
             with self.collecting():
                 checked_name(view.name, where=self.folder / listed_in)
         with self.collecting():
             listed_once([view.name for view in self.views], where=self.folder / listed_in)
         return tuple(self.views)
+
+    def _part_masks(self) -> None:
+        """Leave out the few views without a mask, since their background is not the others'; or the few masks."""
+        without = [view for view in self.views if view.mask is None]
+        if not 0 < len(without) < len(self.views):
+            return
+        names = f"{', '.join(view.name for view in without[:5])}{', ...' if len(without) > 5 else ''}"
+        if len(without) <= FEW * len(self.views):
+            self.views = [view for view in self.views if view.mask is not None]
+            self.notes.append(f"{len(without)} views without a mask are left out: {names}")
+        else:
+            count = len(self.views) - len(without)
+            self.views = [replace(view, mask=None) for view in self.views]
+            self.notes.append(f"masks of {count} views are not used, since {len(without)} others have none: {names}")
+
+    def _tell_apart(self) -> None:
+        """Add the suffix to names that several images share, such as `a` for `a.jpg` and `a.png`."""
+        counts = Counter(view.name for view in self.views)
+        apart = [
+            replace(view, name=f"{view.name}_{view.image.suffix[1:]}") if counts[view.name] > 1 else view for view in self.views
+        ]
+        self.views = apart
 
 
 def listed_once(names: Iterable[object], *, where: object) -> None:

@@ -14,6 +14,8 @@ from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import KoalaError
 from koala3d.datasets.core.progress import Step, ignore
 from koala3d.datasets.formats import assemble, export, opengl, sidecar
+from koala3d.datasets.formats.finding.pictures import without_suffix
+from koala3d.datasets.formats.finding.stated import Images, other_path
 from koala3d.datasets.formats.links import Extra, copy_all, file_name
 from koala3d.datasets.imaging import images
 from koala3d.datasets.scene import DISPARITY, SPLITS, Scene, View
@@ -58,8 +60,8 @@ def _gather(gathering: assemble.Gathering, split: str, *, any_lens: bool) -> Non
     source = folder / f"transforms_{split}.json"
     content = files.read_json(files.within(folder, source))
     frames = opengl.frames_of(content, where=source)
-    present = opengl.Images(folder, frames, where=source)
-    gathering.notes += [present.note] if present.note else []
+    present = Images(folder, frames, where=source)
+    gathering.notes += present.notes
     for frame in frames:
         where = f"{source}, {frame['file_path']}"
         with gathering.collecting():
@@ -71,9 +73,10 @@ def _gather(gathering: assemble.Gathering, split: str, *, any_lens: bool) -> Non
             camera = gathering.fitted(camera, image, where=where)
             named = [(key, image.with_name(image.stem + end)) for key, ends in TRUTH.items() for end in reversed(ends)]
             truth = {key: gathering.file(path, where=where) for key, path in named if path.is_file()}
-            name = image.relative_to(folder).with_suffix("").as_posix()
-            matrix = opengl.world_from_camera(frame, where=where)
-            mask = opengl.other_path(frame, "mask_path", folder, where=where)
+            name = without_suffix(image.relative_to(folder))
+            matrix, scale = opengl.world_from_camera(frame, opengl.axes(content), where=where)
+            gathering.scales.append(scale)
+            mask = other_path(frame, "mask_path", folder, where=where)
             gathering.views.append(View(name, camera, matrix, split, image, mask, truth))
 
 

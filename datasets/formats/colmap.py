@@ -5,7 +5,7 @@ Poses are camera_from_world in our axes and pixel convention; the world is that 
 """
 
 from dataclasses import dataclass, field, replace
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from koala3d.datasets.core.progress import Step, ignore
 from koala3d.datasets.formats import assemble, colmap_library, export, llff, sidecar
 from koala3d.datasets.formats.colmap_files import Model, StoredCamera, StoredImage, read_model
 from koala3d.datasets.formats.finding import models
-from koala3d.datasets.formats.finding.pictures import Listing, homes, photographs
+from koala3d.datasets.formats.finding.pictures import Listing, homes, photographs, without_suffix
 from koala3d.datasets.formats.links import Extra, copy_all, file_name, write_smaller
 from koala3d.datasets.scene import Scene, Sightings, View
 
@@ -73,8 +73,7 @@ def load(
     model, listed_in = source.model, source.place / "images"
     gathering = assemble.Gathering(folder, problems, notes=list(source.notes))
     assemble.listed_once([image.name for image in model.images], where=listed_in)
-    pixels: dict[str, np.ndarray] = {}
-    stored: dict[str, StoredImage] = {}
+    seen: dict[Path, tuple[StoredImage, np.ndarray]] = {}
     ordered = sorted(model.images, key=lambda image: image.name)
     present = {}
     for image in ordered:
@@ -91,14 +90,13 @@ def load(
             full = _camera(model.cameras[image.camera_id], folder, any_lens=any_lens, where=where)
             camera = gathering.fitted(full, picture, where=where)
             matrix = pose.inverse(pose.checked(image.camera_from_world, where=where))
-            name = Path(image.name).with_suffix("").as_posix()
+            name = without_suffix(PurePath(image.name))
             gathering.views.append(View(name, camera, matrix, "train", picture, masks[image.name]))
-            stored[name] = image
-            pixels[name] = image.pixels * [camera.width / full.width, camera.height / full.height]
+            seen[picture] = image, image.pixels * [camera.width / full.width, camera.height / full.height]
     if (folder / llff.FILE).is_file():
         gathering.notes.append(f"{llff.FILE} is not used: the COLMAP model in {source.place.relative_to(folder)} holds more")
     views = gathering.finished(listed_in=f"{source.place.name}/images")
-    return _assembled(gathering, views, hold_out, _sightings(model, stored, pixels) if len(model.points) else None, model)
+    return _assembled(gathering, views, hold_out, _sightings(views, seen), model)
 
 
 def _assembled(
@@ -112,17 +110,20 @@ def _assembled(
         scene = sidecar.restore(stored_facts, views, gathering.folder, notes=tuple(gathering.notes))
     else:
         scene = assemble.scene(gathering, splits.hold_out(views, hold_out), "colmap")
-        scene = assemble.with_points(scene, model.points) if sightings is not None else scene
-    return scene if sightings is None else replace(scene, points=model.points, colours=model.colours, sightings=sightings)
+        scene = assemble.with_points(scene, model.points) if len(model.points) else scene
+    return replace(scene, points=model.points, colours=model.colours, sightings=sightings) if len(model.points) else scene
 
 
-def _sightings(model: Model, stored: dict[str, StoredImage], pixels: dict[str, np.ndarray]) -> Sightings:
+def _sightings(views: tuple[View, ...], seen: dict[Path, tuple[StoredImage, np.ndarray]]) -> Sightings | None:
+    """Which points the views saw, from the stored image of each picture and its features at the picture's size; None for none."""
     index, places = [np.zeros((0, 2), np.int64)], [np.zeros((0, 2))]
-    for number, (name, image) in enumerate(stored.items()):
+    for number, view in enumerate(views):
+        image, pixels = seen[view.image]
         matched = np.flatnonzero(image.points >= 0)
         index.append(np.stack([image.points[matched], np.full(len(matched), number)], axis=1))
-        places.append(pixels[name][matched])
-    return Sightings(tuple(stored), np.concatenate(index), np.concatenate(places))
+        places.append(pixels[matched])
+    found = np.concatenate(index)
+    return Sightings(tuple(view.name for view in views), found, np.concatenate(places)) if len(found) else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +151,8 @@ def _find(folder: Path, wanted: str | None) -> _Source:
         raise UsageError("holds no COLMAP model", where=folder, why="no cameras.bin in sparse/0, sparse or colmap/sparse/0")
     remaining, read = [], {}
     for place in places:
-        read[place] = read_model(*(files.within(folder, part) for part in models.parts(place)))
+        cameras, images, points = (part and files.within(folder, part) for part in models.parts(place))
+        read[place] = read_model(cameras, images, points)
         names = [image.name for image in read[place].images]
         for home in _homes(folder, place, wanted):
             source = _Source(place, read[place], home, tuple(notes[place] for _ in range(place in notes)))

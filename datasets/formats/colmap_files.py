@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from koala3d.datasets import pose
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import DatasetError
+from koala3d.datasets.formats import ply
 
 MODELS = {
     0: ("SIMPLE_PINHOLE", 3), 1: ("PINHOLE", 4), 2: ("SIMPLE_RADIAL", 4), 3: ("RADIAL", 5), 4: ("OPENCV", 8),
@@ -27,6 +28,7 @@ MODELS = {
 NOWHERE = 2**64 - 1
 """Point id of a feature without a point."""
 LONGEST_NAME, MAX_BYTES = 4096, 2**32
+PAIRS = "the line after each image holds its features, X Y POINT3D_ID each, and may be empty, but not missing"
 
 
 @dataclass(frozen=True)
@@ -62,8 +64,8 @@ class Model:
     colours: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 3), np.uint8))
 
 
-def read_model(cameras: Path, images: Path, points: Path) -> Model:
-    """Read the three files of a model, all binary or all text.
+def read_model(cameras: Path, images: Path, points: Path | None) -> Model:
+    """Read the files of a model, all binary or all text; there may be no points, or points in a PLY file.
 
     Raises:
         DatasetError: a file is cut off, is shorter than its counts say, or refers to a missing record.
@@ -71,7 +73,7 @@ def read_model(cameras: Path, images: Path, points: Path) -> Model:
     binary = cameras.suffix == ".bin"
     model = Model()
     model.cameras = dict(_cameras_binary(cameras) if binary else _cameras_text(cameras))
-    ids, model.points, model.colours = _points_binary(points) if binary else _points_text(points)
+    ids, model.points, model.colours = _points(points)
     if len(np.unique(ids)) < len(ids):
         raise DatasetError("point is listed twice", where=points)
     order = np.argsort(ids)
@@ -87,6 +89,21 @@ def read_model(cameras: Path, images: Path, points: Path) -> Model:
         matrix = pose.from_quaternion(values[:4], values[4:])
         model.images.append(StoredImage(name, camera_id, matrix, pixels, _rows(point_ids, ids[order], order)))
     return model
+
+
+def _points(path: Path | None) -> tuple[NDArray[np.uint64], NDArray[np.float64], NDArray[np.uint8]]:
+    """Numbers of the points, (n, 3) positions and (n, 3) sRGB. No image refers to the points of a PLY file."""
+    if path is None:
+        return np.zeros(0, np.uint64), np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
+    if path.suffix != ".ply":
+        return _points_binary(path) if path.suffix == ".bin" else _points_text(path)
+    cloud = ply.read_cloud(path)
+    grey = np.full((len(cloud.points), 3), 128, np.uint8)
+    return (
+        NOWHERE - 1 - np.arange(len(cloud.points), dtype=np.uint64),
+        cloud.points,
+        grey if cloud.colours is None else cloud.colours,
+    )
 
 
 def count_images(path: Path) -> int:
@@ -128,6 +145,10 @@ class _Cursor:
     def count(self, least: int, what: str) -> int:
         """A number of records of at least `least` bytes each."""
         (number,) = self.take("Q")
+        return self.room_for(least, number, what)
+
+    def room_for(self, least: int, number: int, what: str) -> int:
+        """`number`, if so many records of at least `least` bytes each can follow."""
         room = (len(self.data) - self.place) // least
         if number > room:
             why = f"{number} {what}, there is room for {room}"
@@ -166,16 +187,21 @@ def _images_binary(path: Path) -> Iterator[tuple[int, str, int, tuple[float, ...
         yield image_id, name, camera_id, tuple(placed), features["pixel"].copy(), features["point"].copy()
 
 
+POINT = np.dtype([("id", "<u8"), ("position", "<f8", 3), ("colour", "u1", 3), ("error", "<f8"), ("track", "<u8")])
+"""A point as stored, without the sightings that follow it."""
+
+
 def _points_binary(path: Path) -> tuple[NDArray[np.uint64], NDArray[np.float64], NDArray[np.uint8]]:
     file = _Cursor(path)
     count = file.count(51, "points")
-    ids, points, colours = np.zeros(count, np.uint64), np.zeros((count, 3)), np.zeros((count, 3), np.uint8)
-    for row in range(count):
-        ids[row], *values, _ = file.take("Q3d3Bd")
-        points[row], colours[row] = values[:3], values[3:]
-        track = file.count(8, "sightings")
-        file.place += 8 * track
-    return ids, _finite(points, path), colours
+    starts, length = np.zeros(count, np.int64), struct.Struct("<Q")
+    for row in range(count):  # only lengths are read one by one
+        starts[row] = file.place
+        file.need(POINT.itemsize)
+        file.place += POINT.itemsize - length.size
+        file.place += length.size + 8 * file.room_for(8, length.unpack_from(file.data, file.place)[0], "sightings")
+    records = np.frombuffer(file.data, np.uint8)[starts[:, None] + np.arange(POINT.itemsize)].view(POINT)[:, 0]
+    return records["id"].copy(), _finite(records["position"].astype(np.float64), path), records["colour"].copy()
 
 
 def _finite(points: NDArray[np.float64], path: Path) -> NDArray[np.float64]:
@@ -214,14 +240,15 @@ def _images_text(path: Path) -> Iterator[tuple[int, str, int, tuple[float, ...],
             image_id, camera_id = int(words[0]), int(words[8])
             placed, name = tuple(float(word) for word in words[1:8]), " ".join(words[9:])
             _, features = next(lines, ("", []))
+            if len(features) % 3:
+                raise ValueError
             pixels = np.array([features[0::3], features[1::3]], np.float64).T.reshape(-1, 2)
             points = np.array([int(word) % 2**64 for word in features[2::3]], np.uint64)  # -1 is `NOWHERE`
-        except (IndexError, ValueError, OverflowError) as error:
-            raise DatasetError("lines are not an image and its features", where=where, why=str(error)) from None
+        except (IndexError, ValueError, OverflowError):
+            raise DatasetError("lines are not an image and its features", where=where, remedy=PAIRS) from None
         if len(points) != len(pixels) or not name:
-            raise DatasetError(
-                "lines are not an image and its features", where=where, why=f"{len(features)} words, name {name!r}"
-            )
+            why = f"{len(features)} words, name {name!r}"
+            raise DatasetError("lines are not an image and its features", where=where, why=why, remedy=PAIRS)
         yield image_id, name, camera_id, placed, pixels, points
 
 

@@ -30,8 +30,12 @@ POINTS = "points.npz"
 
 
 def detect(folder: Path) -> bool:
-    """True for a folder with `cameras.json`."""
-    return (folder / FILE).is_file()
+    """True for a folder with Koala's `cameras.json`; 3D Gaussian Splatting writes another beside its models."""
+    path = folder / FILE
+    if not path.is_file():
+        return False
+    with open(path, "rb") as file:
+        return not file.read(64).lstrip().startswith(b"[")
 
 
 def save(scene: Scene, path: Path, *, extra: Extra = None, done: Step = ignore, sizes: tuple[int, ...] = ()) -> str:

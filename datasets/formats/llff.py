@@ -45,6 +45,10 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, p
     if len(found) != len(rows):
         why = f"it has {len(rows)} rows, {chosen} holds {len(found)} images"
         remedy = "put every image in place: sorted names correspond to rows"
+        if len(found) > len(rows):
+            remedy = (
+                "remove the images without a row, for COLMAP found no pose for them (view_imgs.txt names those that have one)"
+            )
         raise DatasetError("rows and images do not correspond", where=folder / FILE, why=why, remedy=remedy)
     gathering = assemble.Gathering(folder, problems)
     masks = gathering.masks(found[0].parent, [picture.name for picture in found])

@@ -5,7 +5,7 @@ The world is that of the file: `applied_transform` and instant-ngp's `scale`, `o
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,8 @@ from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import DatasetError, KoalaError
 from koala3d.datasets.core.progress import Step, ignore
 from koala3d.datasets.formats import assemble, export, opengl, ply, sidecar
+from koala3d.datasets.formats.finding.pictures import without_suffix
+from koala3d.datasets.formats.finding.stated import Images, leaves, other_path, plain
 from koala3d.datasets.formats.links import Extra, copy_all, file_name, write_smaller
 from koala3d.datasets.imaging import downscale, images
 from koala3d.datasets.scene import SPLITS, Scene, View
@@ -28,6 +30,10 @@ LAYOUT = export.Layout(
     "a rational or splined lens",
     mask="masks/{stem}",
 )
+DEPTHS = ("depth_file_path", "depth_path")
+"""Keys of a frame's depth, of nerfstudio and of instant-ngp."""
+SHUTTERS = ("rolling_shutter", "rolling_shutter_time", "velocity")
+"""Keys of what a camera does while its picture is read out."""
 DEPTH_STEP = 1e-3
 """World units per step of the depth files that are written (nerfstudio's default)."""
 
@@ -50,12 +56,12 @@ def load(
     Views are sorted by file name. Without `train_filenames` and the like, every `hold_out`-th view is a test view.
     """
     source = folder / FILE
-    content = files.read_json(files.within(folder, source))
+    content = _with_test_frames(files.read_json(files.within(folder, source)))
     gathering = assemble.Gathering(folder, problems)
     stated = _splits(content, where=source)
-    frames = sorted(opengl.frames_of(content, where=source), key=lambda frame: frame["file_path"])
-    present = opengl.Images(folder, frames, where=source, home=images_folder)
-    gathering.notes += [present.note] if present.note else []
+    frames = sorted(_used(gathering, content, stated, where=source), key=lambda frame: frame["file_path"])
+    present = Images(folder, frames, where=source, home=images_folder)
+    gathering.notes += present.notes
     for frame in frames:
         with gathering.collecting():
             _gather(gathering, content, frame, stated, present, any_lens=any_lens)
@@ -65,23 +71,61 @@ def load(
         gathering.views = [replace(view, mask=mask) for view, mask in zip(gathering.views, masks, strict=True)]
         gathering.notes += [f"masks are used that {FILE} does not name"] if any(masks) else []
     views = gathering.finished(listed_in=FILE)
-    points, colours = _points(folder, content, where=source)
+    points, colours = _points(gathering, content, where=source)
     known = sidecar.read(folder)
     if known is not None:
         return replace(sidecar.restore(known, views, folder, notes=tuple(gathering.notes)), points=points, colours=colours)
+    gathering.notes += _unused(content, frames)
     if not stated:
         views = splits.hold_out(views, hold_out)
     scene = assemble.scene(gathering, views, "nerfstudio")
     return scene if points is None else replace(assemble.with_points(scene, points), colours=colours)
 
 
+def _with_test_frames(content: Any) -> Any:
+    """The file's content with ScanNet++'s `test_frames` among its frames, and lists that say so."""
+    extra, frames = (content.get(key) if isinstance(content, dict) else None for key in ("test_frames", "frames"))
+    if not isinstance(extra, list) or not isinstance(frames, list) or not extra:
+        return content
+    names = [[one["file_path"] for one in part if isinstance(one, dict) and "file_path" in one] for part in (frames, extra)]
+    return {**content, "frames": [*frames, *extra], "train_filenames": names[0], "test_filenames": names[1]}
+
+
+def _used(gathering: assemble.Gathering, content: Any, stated: dict[str, str], *, where: object) -> list[dict[str, Any]]:
+    """The frames that the file means to be used; notes on the others."""
+    frames = opengl.frames_of(content, where=where)
+    listed = [frame for frame in frames if not stated or frame["file_path"] in stated]
+    good = [frame for frame in listed if not frame.get("is_bad")]
+    if absent := len(frames) - len(listed):
+        gathering.notes.append(f"{absent} of {len(frames)} frames are in no list of file names and are left out")
+    if bad := len(listed) - len(good):
+        gathering.notes.append(f"{bad} frames that the file calls bad are left out")
+    return good
+
+
+def _unused(content: dict[str, Any], frames: Sequence[dict[str, Any]]) -> list[str]:
+    """Notes on what the frames state and a scene cannot hold."""
+    notes, times = [], {frame.get("time") for frame in frames}
+    if len(times - {None}) > 1:
+        notes.append(f"frames are of {len(times)} times; what moves in between is not known: the scene is read as one at rest")
+    if any(frame.get(key) for frame in frames for key in DEPTHS):
+        notes.append("depth of the frames may be a sensor's or an estimate: it is not read as truth")
+    if any(content.get(key) or any(frame.get(key) for frame in frames) for key in SHUTTERS):
+        notes.append("the motion of a rolling shutter is not read: each picture has one pose")
+    return notes
+
+
 def _points(
-    folder: Path, content: dict[str, Any], *, where: object
+    gathering: assemble.Gathering, content: dict[str, Any], *, where: object
 ) -> tuple[NDArray[np.float64] | None, NDArray[np.uint8] | None]:
     """Surface points of `ply_file_path`, which are in the world of the frames, and their colours."""
-    name = content.get("ply_file_path")
-    path = files.inside(folder, name, where=where) if name else None
-    return ply.read_cloud(path) if path is not None and path.is_file() else (None, None)
+    path = other_path(content, "ply_file_path", gathering.folder, where=where)
+    if path is None or not path.is_file():
+        return None, None
+    cloud = ply.read_cloud(path)
+    if cloud.not_finite:
+        gathering.notes.append(f"{cloud.not_finite} points of {path.name} are not finite and are left out")
+    return cloud.points, cloud.colours
 
 
 def _gather(
@@ -89,7 +133,7 @@ def _gather(
     content: dict[str, Any],
     frame: dict[str, Any],
     stated: dict[str, str],
-    present: opengl.Images,
+    present: Images,
     *,
     any_lens: bool,
 ) -> None:
@@ -100,19 +144,11 @@ def _gather(
         gathering.missing.append(listed)
         return
     camera = gathering.fitted(opengl.camera(content, frame, image, folder, where=where, any_lens=any_lens), image, where=where)
-    mask, depth = (opengl.other_path(frame, key, folder, where=where) for key in ("mask_path", "depth_file_path"))
-    name = PurePosixPath(opengl.plain_path(listed, where=where)).with_suffix("").as_posix()
-    split = stated.get(listed, "train")
-    matrix, truth = opengl.world_from_camera(frame, where=where), {"depth": depth} if depth else {}
-    gathering.views.append(View(name, camera, matrix, split, image, mask, truth, depth_unit=_depth_unit(content, where=where)))
-
-
-def _depth_unit(content: dict[str, Any], *, where: object) -> float:
-    """World units per step of a depth file: `depth_unit_scale_factor`, by default a millimetre."""
-    unit = content.get("depth_unit_scale_factor", 1e-3)
-    if not isinstance(unit, int | float) or not 0 < unit < np.inf:
-        raise DatasetError("depth_unit_scale_factor is not positive", where=where, why=str(unit)[:80])
-    return float(unit)
+    mask, path = other_path(frame, "mask_path", folder, where=where), plain(listed)
+    name = without_suffix(image.relative_to(folder) if leaves(path) else path)
+    matrix, scale = opengl.world_from_camera(frame, opengl.axes(content), where=where)
+    gathering.scales.append(scale)
+    gathering.views.append(View(name, camera, matrix, stated.get(listed, "train"), image, mask))
 
 
 def _splits(content: Any, *, where: object) -> dict[str, str]:

@@ -1,8 +1,7 @@
 """Shared by Blender's and nerfstudio's JSON: OpenGL camera axes and the variants of intrinsics."""
 
-import re
 from dataclasses import asdict, dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
@@ -10,11 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from koala3d.datasets import pose
 from koala3d.datasets.camera_model import Camera
-from koala3d.datasets.conventions import OPENCV_FROM_OPENGL
-from koala3d.datasets.core import files
+from koala3d.datasets.conventions import OPENCV_FROM_MITSUBA, OPENCV_FROM_OPENGL
 from koala3d.datasets.core.errors import DatasetError
 from koala3d.datasets.formats.assemble import foreign_lens, listed_once
-from koala3d.datasets.formats.finding.pictures import Listing, homes
 from koala3d.datasets.imaging import images
 
 PINHOLES = frozenset(
@@ -23,6 +20,8 @@ PINHOLES = frozenset(
 """Names of lens models whose coefficients are among OpenCV's."""
 FISHEYES = frozenset({"OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "FISHEYE", "SIMPLE_FISHEYE"})
 FISHEYE = "OPENCV_FISHEYE"
+PANORAMA = "cut perspective images from the panoramas, as 'ns-process-data images --camera-type equirectangular' does"
+"""Remedy for lenses that see all around."""
 DISTORTION_PARAMS = ("k1", "k2", "k3", "k4", "p1", "p2")
 """nerfstudio's order in `distortion_params`."""
 
@@ -36,70 +35,25 @@ def frames_of(content: Any, *, where: object) -> list[dict[str, Any]]:
     return frames
 
 
-def plain_path(file_path: str, *, where: object) -> str:
-    """A `file_path` with "/" between its parts, as programs on Windows do not write it.
-
-    Raises:
-        DatasetError: it names a drive.
-    """
-    path = file_path.replace("\\", "/")
-    if re.match(r"[A-Za-z]:", path):
-        raise DatasetError(f"path {file_path!r} leaves the folder", where=where, remedy="use paths relative to it")
-    return path.removeprefix("./")
+def axes(content: dict[str, Any]) -> NDArray[np.float64]:
+    """Camera coordinates of a file in ours: OpenGL's (x right, y up, z back), or those that instant-ngp's keys state."""
+    if content.get("from_na"):
+        return np.eye(4)
+    return OPENCV_FROM_MITSUBA if content.get("from_mitsuba") else OPENCV_FROM_OPENGL
 
 
-def other_path(frame: dict[str, Any], key: str, folder: Path, *, where: object) -> Path | None:
-    """The path that a frame states under a key; None where it states none. Raises DatasetError where it leaves the folder."""
-    stated = frame.get(key)
-    if not stated:
-        return None
-    return files.inside(folder, plain_path(stated, where=where) if isinstance(stated, str) else stated, where=where)
+def world_from_camera(
+    frame: dict[str, Any], opencv_from_file: NDArray[np.float64] = OPENCV_FROM_OPENGL, *, where: object
+) -> tuple[NDArray[np.float64], float]:
+    """(4, 4) in our axes from a frame's `transform_matrix`, and the scale that its rotation has.
 
-
-class Images:
-    """The images that the frames of a file name; suffixes may be missing or differ, and so may the name of their folder.
-
-    Args:
-        folder: folder of the file.
-        frames: its frames. Where all of them name one folder and it does not exist, the first folder of images that holds one
-            of their images stands for it.
-        home: folder of images that stands for all that are named; None to take the images where the frames say.
-    """
-
-    def __init__(self, folder: Path, frames: list[dict[str, Any]], *, where: object, home: str | None = None) -> None:
-        self._folder, self._listing = folder, Listing()
-        self._home = PurePosixPath(home) if home is not None else None
-        self.note = ""
-        """One line on the folder that stands for the one that the frames name; empty where they agree."""
-        paths = [PurePosixPath(plain_path(frame["file_path"], where=where)) for frame in frames]
-        stated = {str(path.parent) for path in paths}
-        if home is None and len(stated) == 1 and not files.inside(folder, *stated, where=where).is_dir():
-            there = (other.name for other in homes(folder) if any(self._listing.like(other, path.name) for path in paths))
-            if (name := next(there, None)) is not None:
-                self._home = PurePosixPath(name)
-                self.note = f"there is no folder {' '.join(stated)}: images are taken from {name}"
-
-    def path(self, file_path: str, *, where: object) -> Path | None:
-        """The existing image of a `file_path`; None where there is none.
-
-        Raises:
-            DatasetError: the path is absolute or leaves the folder.
-        """
-        plain = PurePosixPath(plain_path(file_path, where=where))
-        path = files.inside(self._folder, str(plain), where=where)
-        if self._home is not None:
-            path = files.inside(self._folder, str(self._home / plain.name), where=where)
-        return path if path.is_file() else self._listing.like(path.parent, path.name)
-
-
-def world_from_camera(frame: dict[str, Any], *, where: object) -> NDArray[np.float64]:
-    """(4, 4) in our axes from a frame's `transform_matrix` (camera x right, y up, z back).
-
-    The rotation is replaced by the nearest orthonormal one: files carry seven digits or fewer.
+    The rotation is replaced by the nearest orthonormal one: files carry seven digits or fewer. A scale, as objects of Blender and
+    models that were aligned have it, is divided out: it changes no direction.
     """
     if "transform_matrix" not in frame:
         raise DatasetError("frame has no transform_matrix", where=where)
-    return pose.checked(pose.checked(frame["transform_matrix"], where=where) @ OPENCV_FROM_OPENGL, where=where)
+    matrix, scale = pose.unscaled(frame["transform_matrix"])
+    return pose.checked(pose.checked(matrix, where=where) @ opencv_from_file, where=where), scale
 
 
 def transform_matrix(world_from_camera: NDArray[np.float64]) -> list[list[float]]:
@@ -119,10 +73,10 @@ def camera(
         DatasetError: the lens model is not supported, or there is no focal length.
     """
     keys = {**content, **frame}
-    model = str(keys.get("camera_model") or "").upper()
+    model = _lens_model(keys)
     fisheye = model in FISHEYES or bool(keys.get("is_fisheye", False))
     if model not in PINHOLES | FISHEYES:
-        remedy = "undistort the images to a pinhole first, or convert the model to COLMAP's layout"
+        remedy = PANORAMA if model == "EQUIRECTANGULAR" else "undistort the images first, or convert the model to COLMAP's layout"
         raise DatasetError(f"camera model {model} is not supported", where=where, remedy=remedy)
     if keys.get("distortion_params") is not None:
         keys |= dict(zip(DISTORTION_PARAMS, keys["distortion_params"], strict=False))
@@ -166,6 +120,15 @@ class PolynomialCamera(Camera):
         square = np.asarray(r2, np.float64)
         bent = self.fourth * square * square * square
         return factor + bent * square, slope + 4 * bent
+
+
+def _lens_model(keys: dict[str, Any]) -> str:
+    """Name of the lens model in capitals; instant-ngp states some of its lenses by keys of their own."""
+    if keys.get("latlong") or keys.get("equirectangular"):
+        return "EQUIRECTANGULAR"
+    if any(key.startswith("ftheta_p") and value for key, value in keys.items()):
+        return "F-THETA"
+    return str(keys.get("camera_model") or "").upper()
 
 
 def _focal(length: int, angle: float | None) -> float | None:

@@ -1,6 +1,7 @@
 """Points in PLY files: the vertices of ASCII and binary files, with every count checked before memory is allocated."""
 
 import re
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -20,15 +21,27 @@ LONGEST_HEADER, MAX_BYTES = 2**16, 2**31
 
 
 def read_points(path: Path) -> NDArray[np.float64]:
-    """(n, 3) vertices. Raises as `read_cloud` does."""
-    return read_cloud(path)[0]
+    """(n, 3) vertices. Raises as `read_cloud` does, and DatasetError if a vertex is not finite."""
+    cloud = read_cloud(path)
+    if cloud.not_finite:
+        raise DatasetError("points are not finite", where=path, why=f"{cloud.not_finite} of them", remedy="remove them")
+    return cloud.points
 
 
-def read_cloud(path: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8] | None]:
-    """(n, 3) vertices and their (n, 3) sRGB, None where there is none in bytes.
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """The vertices of a file."""
 
-    Raises DatasetError: it is no such file, it is cut off, or a vertex is not finite.
-    """
+    points: NDArray[np.float64]
+    """(n, 3) those that are finite."""
+    colours: NDArray[np.uint8] | None
+    """(n, 3) their sRGB; None if the file holds none in bytes."""
+    not_finite: int
+    """Vertices that were left out: programs write NaN where a sensor saw nothing."""
+
+
+def read_cloud(path: Path) -> Cloud:
+    """The vertices of a file. Raises DatasetError: it is no such file, or it is cut off."""
     data = files.read_regular(path, MAX_BYTES, suffixes=(".ply",))
     header = re.match(rb"ply\r?\n(.*?)end_header\r?\n", data[:LONGEST_HEADER], re.DOTALL)
     if header is None:
@@ -45,14 +58,14 @@ def read_cloud(path: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8] | Non
             raise DatasetError("is cut off", where=path, why=f"{count} vertices expected, {len(body)} bytes found")
         vertices = np.frombuffer(body, layout, count)
     points = np.stack([vertices[axis].astype(np.float64) for axis in "xyz"], axis=-1)
-    if not np.isfinite(points).all():
-        raise DatasetError("points are not finite", where=path)
+    finite = np.isfinite(points).all(1)
+    left_out = int((~finite).sum())
     if len(channels) < len(CHANNELS):
-        return points, None
-    colours = np.stack([vertices[channel] for channel in channels], axis=-1)
+        return Cloud(points[finite], None, left_out)
+    colours = np.stack([vertices[channel] for channel in channels], axis=-1)[finite]
     if not ((colours >= 0) & (colours <= 255)).all():  # false for NaN too
         raise DatasetError("colours are not bytes", where=path)
-    return points, colours.astype(np.uint8)
+    return Cloud(points[finite], colours.astype(np.uint8), left_out)
 
 
 def write_points(path: Path, points: NDArray[np.float64], colours: NDArray[np.uint8] | None = None) -> None:

@@ -14,6 +14,8 @@ from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core import arrays, files
 from koala3d.datasets.core.errors import DatasetError, KoalaError
 from koala3d.datasets.formats import assemble, opengl
+from koala3d.datasets.formats.finding.pictures import without_suffix
+from koala3d.datasets.formats.finding.stated import Images, other_path
 from koala3d.datasets.imaging import images
 from koala3d.datasets.scene import Scene, View
 
@@ -36,10 +38,11 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, p
     source = folder / FILE
     content = files.read_json(files.within(folder, source))
     gathering = assemble.Gathering(folder, problems)
-    stated = content.get("frames") if isinstance(content, dict) else None
-    frames = [{**frame, "file_path": frame.get("rgb_path")} for frame in stated or () if isinstance(frame, dict)]
+    listed = content.get("frames") if isinstance(content, dict) else None
+    frames = [{**frame, "file_path": frame.get("rgb_path")} for frame in listed or () if isinstance(frame, dict)]
     frames = opengl.frames_of({"frames": frames}, where=source)
-    present = opengl.Images(folder, frames, where=source, home=images_folder)
+    present = Images(folder, frames, where=source, home=images_folder)
+    gathering.notes += present.notes
     for frame in frames:
         where = f"{source}, {frame['file_path']}"
         with gathering.collecting():
@@ -49,8 +52,8 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, p
                 continue
             camera = gathering.fitted(_camera(content, frame, image, where=where), image, where=where)
             matrix = pose.checked(frame.get("camtoworld", ()), where=where)
-            masks = (opengl.other_path(frame, key, folder, where=where) for key in MASKS)
-            name = image.relative_to(folder).with_suffix("").as_posix()
+            masks = (other_path(frame, key, folder, where=where) for key in MASKS)
+            name = without_suffix(image.relative_to(folder))
             gathering.views.append(View(name, camera, matrix, "train", image, next(filter(None, masks), None)))
     scene = assemble.scene(gathering, splits.hold_out(gathering.finished(listed_in=FILE), hold_out), "sdfstudio")
     return _in_box(scene, content.get("scene_box"), where=source)

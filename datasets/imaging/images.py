@@ -32,6 +32,8 @@ MOST_SHRUNK = 1200
 """Largest compression ratio of a valid file: deflate's 1032, and a margin for headers."""
 MAGIC = (b"\x89PNG", b"\xff\xd8\xff", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"\x76\x2f\x31\x01")
 """First bytes of the formats that are read: PNG, JPEG, TIFF, BigTIFF, EXR."""
+OTHERS = (("WebP", 8, b"WEBP"), ("HEIC or AVIF", 4, b"ftyp"), ("BMP", 0, b"BM"), ("GIF", 0, b"GIF8"), ("JPEG XL", 4, b"JXL "))
+"""Formats that are not read, whatever the suffix says: name, place and bytes of their mark."""
 DESCRIPTIVE = frozenset(
     "Make Model Software DateTime Artist Copyright ImageDescription ExposureTime FNumber "
     "XResolution YResolution ResolutionUnit".split()
@@ -262,9 +264,8 @@ def _open(path: Path) -> Any:
         name = str(path).encode(errors="backslashreplace").decode()
         raise DatasetError("name of the image is not UTF-8", where=name, remedy="rename it") from None
     with open(path, "rb") as file:
-        if not file.read(4).startswith(MAGIC):  # the library would try dozens of other formats, some of which run programs
-            why = "the file is empty" if path.stat().st_size == 0 else "it is not a PNG, JPEG, TIFF or EXR"
-            raise DatasetError("image cannot be read", where=path, why=why, remedy="copy it again")
+        if not (head := file.read(12)).startswith(MAGIC):  # the library would try dozens of other formats; some run programs
+            raise _foreign(path, head)
     wanted = oiio.ImageSpec()
     wanted.attribute("oiio:UnassociatedAlpha", 1)
     source = oiio.ImageInput.open(str(path), wanted)
@@ -280,6 +281,16 @@ def _open(path: Path) -> Any:
         source.close()
         raise complaint
     return source
+
+
+def _foreign(path: Path, head: bytes) -> DatasetError:
+    """The error of a file that begins with other bytes than those of the formats that are read."""
+    if not head:
+        return DatasetError("image cannot be read", where=path, why="the file is empty", remedy="copy it again")
+    name = next((name for name, at, mark in OTHERS if head[at : at + len(mark)] == mark), None)
+    if name is None:
+        return DatasetError("image cannot be read", where=path, why="it is not a PNG, JPEG, TIFF or EXR", remedy="copy it again")
+    return DatasetError("image cannot be read", where=path, why=f"it is a {name}", remedy="convert it to PNG or JPEG")
 
 
 def _beyond(spec: Any, path: Path) -> DatasetError | None:

@@ -14,6 +14,8 @@ MOST_FOLDERS = 200
 MOST_NAMED = 8
 """Number of entries of a folder that a message names."""
 VIDEOS = ("*.mp4", "*.mov", "*.MP4", "*.MOV", "*.m4v", "*.avi", "*.mkv")
+KNOWN = "write its poses as the frames of a transforms.json, see docs/datasets.md"
+"""Remedy for known poses in a file that is not read."""
 MARKS = (
     (("frames.jsonl",), "it is a recording", "datasets build {folder} --calibration FILE --out {new}"),
     (("run.json",), "it is a run, which names its scene", "reconstruct view {folder}"),
@@ -25,6 +27,12 @@ MARKS = (
     (("*camera*.npz",), "{found} is there, {folder}/cameras_sphere.npz is not", "cp {found} {folder}/cameras_sphere.npz"),
     (("keyframes/cameras",), "it is a raw export of Polycam", "ns-process-data polycam --data {folder} --output-dir {new}"),
     (("EXR_RGBD/metadata.json",), "it is an export of Record3D", "ns-process-data record3d --data {folder} --output-dir {new}"),
+    (("scene_camera.json",), "{found} is of BOP", KNOWN),
+    (("sfm_data.json",), "{found} is of OpenMVG", "openMVG_main_openMVG2Colmap -i {found} -o {folder}/sparse"),
+    (("cameras.sfm", "*.sfm"), "{found} is of Meshroom", "aliceVision_exportColmap --input {found} --output {folder}"),
+    (("bundle.out", "bundle/bundle.out"), "{found} is of Bundler", KNOWN),
+    (("groundtruth.txt", "*trajectory*.txt", "traj*.txt"), "{found} may hold poses", KNOWN),
+    (("*.csv",), "{found} may hold poses, as those of RealityCapture", "export COLMAP's format instead; if it holds none: datasets process {images} --out {new}"),
     (("*.xml",), "{found} may be of Metashape", "ns-process-data metashape --data {images} --xml {found} --output-dir {new}"),
     (("*.db",), "{found} is there, a model is not", "mkdir -p {folder}/sparse && "
      "colmap mapper --database_path {found} --image_path {images} --output_path {folder}/sparse"),

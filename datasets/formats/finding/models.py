@@ -11,8 +11,8 @@ PLACES = (
     "dense/sparse", "dense/*/sparse", "distorted/sparse/*", "",
 )  # fmt: skip
 """Folders of models in the order in which they are tried: of the mapper, of nerfstudio, of the undistorter, of 3D Gaussians."""
-NEEDED = ("cameras", "images", "points3D")
-"""Files of a model, without suffix."""
+NEEDED, POINTS = ("cameras", "images"), "points3D"
+"""Files of a model, without suffix. Points may be absent, as in models that are made of known poses, or be a PLY file."""
 
 
 def find(folder: Path) -> tuple[list[Path], dict[Path, str]]:
@@ -45,10 +45,12 @@ def _largest_first(folder: Path, group: list[Path]) -> tuple[list[Path], str]:
     return ordered, f"the largest of {len(group)} models is used: {largest} images, {', '.join(others)}"
 
 
-def parts(place: Path) -> tuple[Path, Path, Path]:
-    """The three files of a complete model: binary, or text where those are not complete."""
-    cameras, images, points = (place / (name + _suffix(place)) for name in NEEDED)
-    return cameras, images, points
+def parts(place: Path) -> tuple[Path, Path, Path | None]:
+    """The files of a complete model: cameras, images, and points if there are any; binary, or text if those are not complete."""
+    suffix = _suffix(place)
+    cameras, images = (place / (name + suffix) for name in NEEDED)
+    points = (place / (POINTS + end) for end in (suffix, ".ply"))
+    return cameras, images, next((path for path in points if path.is_file()), None)
 
 
 def exists(folder: Path) -> bool:
@@ -69,5 +71,5 @@ def _present(place: Path, *suffixes: str) -> list[bool]:
 
 
 def _suffix(place: Path) -> str:
-    """Suffix in which all three files are there; empty where there is none."""
+    """Suffix in which cameras and images are there; empty where there is none."""
     return next((end for end in (".bin", ".txt") if all(_present(place, end))), "")

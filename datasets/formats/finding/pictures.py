@@ -1,8 +1,9 @@
 """Where the images of a folder are: programs call their folder `images`, `image` or `rgb`, and change suffixes and their case."""
 
 import re
+import unicodedata
 from collections.abc import Sequence
-from pathlib import Path
+from pathlib import Path, PurePath
 
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import DatasetError, UsageError
@@ -17,8 +18,13 @@ _COMPANION = re.compile(rf"(?:(.+)[._-]{_WORD}|{_WORD}[._-](.+))", re.IGNORECASE
 """Stem of a picture beside an image that is no photograph itself, such as `X_mask` beside `X`."""
 
 
+def without_suffix(path: PurePath) -> str:
+    """A path without the suffix of a picture; other dots belong to the name, as those of time stamps do."""
+    return (path.with_suffix("") if path.suffix.lower() in PICTURES else path).as_posix()
+
+
 class Listing:
-    """Names of the files in folders, each folder listed once; suffixes and case may differ from the name that is sought."""
+    """Names of the files in folders, each folder listed once; suffix, case and Unicode form may differ from the name sought."""
 
     def __init__(self) -> None:
         self._known: dict[Path, dict[str, list[Path]]] = {}
@@ -32,29 +38,34 @@ class Listing:
         wanted = Path(name)
         index = self._index(folder / wanted.parent)
         stem = wanted.stem if wanted.suffix.lower() in PICTURES else wanted.name
-        found = index.get(wanted.name.lower()) or index.get(stem.lower() + ".")
+        found = index.get(_key(wanted.name)) or index.get(_key(stem) + ".")
         return min(found, key=_preference) if found else None
 
     def named_after(self, folder: Path, name: str) -> Path | None:
         """The image named after `X.JPG`: `X.JPG.png`, `X.png`, `X.jpg`, `X_mask.png` or `mask_X.png`; PNG is preferred."""
         other = Path(name)
         index = self._index(folder / other.parent)
-        stem = other.stem.lower()
-        for key in (other.name.lower(), stem, f"{stem}_mask", f"{stem}.mask", f"{stem}-mask", f"mask_{stem}", f"{stem}_alpha"):
+        stem = _key(other.stem)
+        for key in (_key(other.name), stem, f"{stem}_mask", f"{stem}.mask", f"{stem}-mask", f"mask_{stem}", f"{stem}_alpha"):
             if found := index.get(key + "."):
                 return min(found, key=_preference)
         return None
 
     def _index(self, folder: Path) -> dict[str, list[Path]]:
-        """Image files by lower-case name, and by lower-case stem with a full stop."""
+        """Image files by the key of their name, and by that of their stem with a full stop."""
         if folder not in self._known:
             index: dict[str, list[Path]] = {}
             for path in sorted(folder.iterdir()) if folder.is_dir() else ():
                 if path.suffix.lower() in PICTURES and path.name[0] != ".":
-                    index.setdefault(path.name.lower(), []).append(path)
-                    index.setdefault(path.stem.lower() + ".", []).append(path)
+                    index.setdefault(_key(path.name), []).append(path)
+                    index.setdefault(_key(path.stem) + ".", []).append(path)
             self._known[folder] = index
         return self._known[folder]
+
+
+def _key(name: str) -> str:
+    """What names have in common that differ in case, or in how an accent is written: a Mac takes letter and accent apart."""
+    return unicodedata.normalize("NFC", name).lower()
 
 
 def _preference(path: Path) -> tuple[bool, str]:
@@ -81,8 +92,11 @@ def find(folder: Path, wanted: str | None = None) -> tuple[list[Path], str]:
         offered = [path for path in [files.inside(folder, wanted)] if path.is_dir()]
     if not offered:
         there = ", ".join(sorted(path.name for path in folder.iterdir() if path.is_dir())[:8])
-        why = f"there are the folders {there}" if there else ""
-        raise UsageError("no folder of images", where=folder / (wanted or HOMES[0]), why=why, remedy="put the images there")
+        why, remedy = f"there are the folders {there}" if there else "", "put the images there"
+        if wanted is None and (videos := sorted(folder.glob("*.mp4"))):
+            why = f"there are {len(videos)} videos such as {videos[0].name}"
+            remedy = f"put a frame of each there: ffmpeg -i {videos[0].name} -frames:v 1 images/{videos[0].stem}.png"
+        raise UsageError("no folder of images", where=folder / (wanted or HOMES[0]), why=why, remedy=remedy)
     for home in offered:
         if found := photographs(Listing().files(home)):
             return found, home.name

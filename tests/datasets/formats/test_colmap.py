@@ -28,7 +28,7 @@ LENSES = {
 
 def files_of(folder: Path) -> list[Path]:
     suffix = ".bin" if (folder / "cameras.bin").is_file() else ".txt"
-    return [folder / (name + suffix) for name in models.NEEDED]
+    return [folder / (name + suffix) for name in (*models.NEEDED, models.POINTS)]
 
 
 def errors_px(model: "pycolmap.Reconstruction") -> np.ndarray:

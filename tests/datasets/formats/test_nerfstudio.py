@@ -11,7 +11,6 @@ import trimesh
 
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.conventions import OPENCV_FROM_OPENGL
-from koala3d.datasets.core.errors import DatasetError
 from koala3d.datasets.formats import load_scene, nerfstudio
 from koala3d.datasets.imaging import images
 from koala3d.datasets.scene import Scene
@@ -48,21 +47,9 @@ def test_depth_is_exported_where_all_views_have_it(make_scene: Callable[..., Sce
     nerfstudio.save(with_depth, tmp_path / "out")
     frame = json.loads((tmp_path / "out" / "transforms.json").read_text())["frames"][0]
     assert np.array_equal(np.unique(images.read_stored(tmp_path / "out" / frame["depth_file_path"])), [400])  # 0.4 in thousandths
-    (tmp_path / "out" / "koala.json").unlink()
     assert load_scene(tmp_path / "out").views[0].read_truth("depth")[0, 0, 0] == pytest.approx(0.4, abs=1e-6)
-
-
-def test_depth_unit_of_the_file(make_scene: Callable[..., Scene], tmp_path: Path) -> None:
-    scene = make_scene()
-    nerfstudio.save(scene.with_views(tuple(view for view in scene.views if view.truth)), tmp_path / "out")
     (tmp_path / "out" / "koala.json").unlink()
-    path = tmp_path / "out" / "transforms.json"
-    content = json.loads(path.read_text())
-    path.write_text(json.dumps({**content, "depth_unit_scale_factor": 0.01}))
-    assert load_scene(tmp_path / "out").views[0].read_truth("depth")[0, 0, 0] == pytest.approx(4.0, abs=1e-5)
-    path.write_text(json.dumps({**content, "depth_unit_scale_factor": -1}))
-    with pytest.raises(DatasetError, match="depth_unit_scale_factor is not positive"):
-        load_scene(tmp_path / "out")
+    assert not load_scene(tmp_path / "out").views[0].truth  # nobody says that it is the truth
 
 
 def test_smaller_depth_and_masks_are_there_and_not_mixed(make_scene: Callable[..., Scene], tmp_path: Path) -> None:

@@ -19,12 +19,13 @@ def test_points_come_back_to_the_bit(tmp_path: Path) -> None:
 def test_colours_are_read_back_and_no_others_are_invented(tmp_path: Path) -> None:
     colours = np.array([[0, 128, 255]], np.uint8).repeat(len(POINTS), 0)
     write_points(tmp_path / "a.ply", POINTS, colours)
-    points, found = read_cloud(tmp_path / "a.ply")
+    cloud = read_cloud(tmp_path / "a.ply")
+    points, found = cloud.points, cloud.colours
     assert np.array_equal(points, POINTS) and np.array_equal(found, colours)
     theirs = trimesh.load(tmp_path / "a.ply")
     assert np.array_equal(theirs.vertices, POINTS) and np.array_equal(theirs.colors[:, :3], colours)
     write_points(tmp_path / "b.ply", POINTS)
-    assert read_cloud(tmp_path / "b.ply")[1] is None
+    assert read_cloud(tmp_path / "b.ply").colours is None
 
 
 @pytest.mark.parametrize("text", [False, True])
@@ -32,7 +33,8 @@ def test_colours_are_read_back_and_no_others_are_invented(tmp_path: Path) -> Non
 def test_another_programs_points_are_read(tmp_path: Path, text: bool, coloured: bool) -> None:
     colours = np.random.default_rng(1).integers(0, 256, (len(POINTS), 3), np.uint8) if coloured else None
     meshes.write_points(tmp_path / "a.ply", POINTS, colours, text=text)
-    points, found = read_cloud(tmp_path / "a.ply")
+    cloud = read_cloud(tmp_path / "a.ply")
+    points, found = cloud.points, cloud.colours
     np.testing.assert_allclose(points, POINTS, rtol=1e-6, atol=1e-8)  # single precision; eight digits as text
     assert (found is None and colours is None) or np.array_equal(found, colours)
 
@@ -42,7 +44,8 @@ def test_vertices_of_a_mesh_are_read(tmp_path: Path) -> None:
     ball = trimesh.creation.icosphere(subdivisions=1)
     ball.visual.vertex_colors = np.random.default_rng(0).integers(0, 256, (len(ball.vertices), 4), np.uint8)
     ball.export(tmp_path / "a.ply", vertex_normal=True)
-    points, colours = read_cloud(tmp_path / "a.ply")
+    cloud = read_cloud(tmp_path / "a.ply")
+    points, colours = cloud.points, cloud.colours
     np.testing.assert_allclose(points, ball.vertices, atol=1e-7)  # single precision
     assert np.array_equal(colours, ball.visual.vertex_colors[:, :3])
 
