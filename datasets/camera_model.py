@@ -17,6 +17,7 @@ Either may have a `spline`, which moves (x', y') by what the formula leaves over
 """
 
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -26,6 +27,10 @@ from koala3d.datasets.core.errors import DatasetError
 from koala3d.datasets.spline import Spline
 
 Points = NDArray[np.float64]
+WIDEST, RADII = np.deg2rad(89.0), 1024
+"""Largest angle of a ray from the axis [rad], whose direction has z = 1; and radii at which a lens is tabulated up to there."""
+INVERTED = 1e-6
+"""Largest error of a distortion that was inverted, in focal lengths: a thousandth of a pixel."""
 _KINDS: dict[str, type] = {"width": int, "height": int, "fisheye": bool}
 
 
@@ -132,12 +137,36 @@ class Camera:
                 break
         return normalised
 
+    @cached_property
+    def _radii(self) -> Points:
+        """(2, n) ideal and distorted radii from the axis to where the distorted one stops to grow, or to `WIDEST`."""
+        ideal = np.tan(np.linspace(0, WIDEST, RADII))
+        bent = ideal * self.radial(ideal * ideal)[0]
+        growing = np.append(np.diff(bent) > 0, False)
+        end = int(np.argmin(growing)) + 1
+        return np.stack([ideal[:end], bent[:end]])
+
     def _first_guess(self, distorted: Points) -> Points:
-        """The start of Newton's method. Near a fisheye's rim the tangent of the angle is the better guess."""
-        if not self.fisheye:
-            return distorted.copy()
-        angle = np.linalg.norm(distorted, axis=-1, keepdims=True)
-        return distorted * np.where(angle > 1e-9, np.tan(np.minimum(angle, 1.5)) / np.maximum(angle, 1e-9), 1.0)
+        """The start of Newton's method: what the radial factor alone says, within the range in which it can be inverted."""
+        ideal, bent = self._radii
+        radius = np.linalg.norm(distorted, axis=-1, keepdims=True)
+        return distorted * np.where(radius > 1e-9, np.interp(radius, bent, ideal) / np.maximum(radius, 1e-9), 1.0)
+
+    def valid(self, pixels: ArrayLike) -> NDArray[np.bool_]:
+        """(...) whether each of (..., 2) pixel coordinates has a ray: the lens can be inverted there, within `WIDEST` of the axis."""
+        distorted = (np.asarray(pixels, np.float64) - [self.cx, self.cy]) / [self.fx, self.fy]
+        if self.is_pinhole:
+            return np.ones(distorted.shape[:-1], bool)
+        normalised = self.undistort(distorted)
+        wrong = np.abs(self.distort(normalised) - distorted).max(-1)
+        return (wrong < INVERTED) & (np.linalg.norm(normalised, axis=-1) < self._radii[0, -1])
+
+    def valid_pixels(self) -> NDArray[np.bool_] | None:
+        """(height, width) `valid` of all pixel centres; None if all are, which the border of the picture tells."""
+        across, down = np.arange(self.width) + 0.5, np.arange(self.height) + 0.5
+        sides = ((across, down[0]), (across, down[-1]), (across[0], down), (across[-1], down))
+        border = np.concatenate([np.stack(np.broadcast_arrays(*side), axis=-1) for side in sides])
+        return None if self.valid(border).all() else self.valid(self.pixel_centres())
 
     def project(self, points: ArrayLike) -> Points:
         """(..., 3) points in the camera frame [m] to (..., 2) pixels. Points need z > 0."""

@@ -36,6 +36,8 @@ LABELS = 0.1
 """Largest value of a mask that holds labels (1, 2, ... of 255) instead of white."""
 COMPRESSION_NOISE = 0.15
 """How far lossy compression takes black and white apart from 0 and 1 near an edge."""
+BLACK = 0.02
+"""Share of black from which a pixel is ignored: less is the noise of compression."""
 DISPARITY = "_disp"
 """Name suffix of depth files that hold Shiny Blender's 1 / (1 + distance along the ray)."""
 
@@ -70,6 +72,8 @@ class View:
     """World units per step of a depth file of integers; files of floats hold world units."""
     mask_inverted: bool = False
     """True where black is the object in the file of the mask."""
+    ignored: Path | None = None
+    """Picture whose black pixels take no part, neither in training nor in figures: a gripper, a hand, the rim of the lens."""
     deviation: Path | None = None
     """Standard deviation of the image's linear light, where the image is merged from several exposures."""
     white: float | None = None
@@ -128,6 +132,19 @@ class View:
         values = images.read(self.deviation)
         self._check_size(values, self.deviation)
         return values
+
+    def counted(self, camera: Camera) -> NDArray[np.bool_] | None:
+        """(height, width) pixels of `camera`, the view's at some size, that take part; None if all do.
+
+        Those do not that the lens has no ray for, or of which `ignored` has any black. Raises DatasetError if it is damaged.
+        """
+        valid = camera.valid_pixels()
+        if self.ignored is None:
+            return valid
+        shares = images.as_float(images.read_stored(self.ignored))[..., :3].max(-1)
+        self._check_shape(shares[..., None], self.ignored)
+        white = images.resize(shares, camera.width, camera.height, srgb=False)[..., 0] > 1 - BLACK
+        return white if valid is None else white & valid
 
     def read_image(self) -> NDArray[np.float32]:
         """The image alone, mask or not, with as many channels as its file has. Raises as `read` does."""

@@ -22,6 +22,8 @@ from koala3d.datasets.structure import bounds
 
 THUMBNAIL, ALIKE = 16, 0.4 / 255
 """Pixels per side of a thumbnail, and the mean difference below which two images are the same up to noise."""
+SERIOUS = ("missing", "no ray")
+"""Words of notes that are findings."""
 
 
 def check(path: str | Path, *, matches: bool = True, done: Count = ignore, **options: Any) -> list[Finding]:
@@ -37,7 +39,7 @@ def check(path: str | Path, *, matches: bool = True, done: Count = ignore, **opt
     except KoalaError as error:
         return [*map(from_error, problems), from_error(error)]
     findings = [*map(from_error, problems), *check_poses(scene), *coverage.find(scene)]
-    findings += [Finding("warning", "note", scene.name, note) for note in scene.notes if "missing" in note]
+    findings += [Finding("warning", "note", scene.name, note) for note in scene.notes if any(word in note for word in SERIOUS)]
     first_by_hash: dict[str, str] = {}
     thumbnails: dict[str, NDArray[np.float32]] = {}
     for count, view in enumerate(scene.views, 1):

@@ -23,6 +23,8 @@ SHORTEST, LONGEST = 1e-3, 1e6
 """Range of plausible focal lengths, in image widths."""
 SCALED = 1e-3
 """Scale of a rotation that more than rounding explains."""
+SAMPLED, LEAST_VALID = 4, 0.3
+"""Pixels along each axis for each that is asked for its ray; share of pixels with a ray below which a view is of no use."""
 FEW = 0.25
 """Share of views without a mask up to which they are left out; of more, the masks are."""
 CAMERAS_ALONE = "cameras alone"
@@ -108,6 +110,7 @@ class Gathering:
         if not self.views:
             why = f"{listed_in} lists {len(self.missing)}, none of which exists" if self.missing else f"{listed_in} lists none"
             raise DatasetError("scene has no images", where=self.folder, why=why, remedy="put the images in place")
+        self._beyond_lenses()
         self._part_masks()
         self._tell_apart()
         for view in self.views:
@@ -116,6 +119,27 @@ class Gathering:
         with self.collecting():
             listed_once([view.name for view in self.views], where=self.folder / listed_in)
         return tuple(self.views)
+
+    def _beyond_lenses(self) -> None:
+        """Say how many pixels have no ray. Complain of pictures that have hardly any."""
+        shares: dict[Camera, float] = {}
+        for view in self.views:
+            if view.camera not in shares:
+                small = view.camera.scaled(*(max(side // SAMPLED, 1) for side in (view.camera.width, view.camera.height)))
+                valid = small.valid_pixels()
+                shares[view.camera] = 1.0 if valid is None else float(valid.mean())
+        found = [shares[view.camera] for view in self.views]
+        if min(found, default=1.0) < LEAST_VALID:
+            view = self.views[int(np.argmin(found))]
+            why = f"its formula can be inverted at {min(found):.0%} of the pixels, within 89 degrees of the axis"
+            remedy = "check the coefficients, or cut perspective images from the pictures"
+            self.complain(DatasetError("lens is not usable", where=f"{self.folder}, view {view.name}", why=why, remedy=remedy))
+        elif (least := min(found)) < 1:
+            count = sum(share < 1 for share in found)
+            said = f"up to {1 - least:.0%} of the pixels of {count} views have no ray"
+            self.notes.append(
+                f"{said}: the lens's formula ends there, or they look more than 89 degrees aside; they take no part"
+            )
 
     def _part_masks(self) -> None:
         """Leave out the few views without a mask, since their background is not the others'; or the few masks."""

@@ -4,6 +4,7 @@ SCENE/cameras.json   version, bounds, background, and for each view its camera, 
 SCENE/images/        as captured, never re-encoded (hard links to files of Koala, copies of others)
 SCENE/images_N/      the same at 1/N of the size, on request
 SCENE/masks/         where there are masks, with masks_N
+SCENE/ignored/       where pixels take no part: their masks, black is ignored
 SCENE/deviations/    standard deviations of images that are merged from several exposures
 SCENE/points.npz     where surface points are known: points, their colours, and the pixels of the views that saw them
 SCENE/truth/         where there is ground truth: truth/<channel>/<view>.<suffix>, read by evaluation only
@@ -100,6 +101,7 @@ def _saved_view(view: View, folder: Path) -> dict[str, Any]:
         "split": view.split,
         "image": keep(view.image, "images"),
         "mask": keep(view.mask, "masks") if view.mask else None,
+        "ignored": keep(view.ignored, "ignored") if view.ignored else None,
         "deviation": keep(view.deviation, "deviations") if view.deviation else None,
         "white": view.white,
         "truth": {key: keep(source, f"truth/{key}") for key, source in view.truth.items()},
@@ -149,7 +151,7 @@ def _loaded_view(entry: Any, folder: Path, *, where: str) -> View:
         name, split = checked_name(entry["name"], where=where), entry["split"]
         where = f"{where} ({name})"
         image, mask, unit = entry["image"], entry.get("mask"), sidecar.unit_of(entry, 1e-3)
-        deviation, white = entry.get("deviation"), entry.get("white")
+        deviation, white, ignored = entry.get("deviation"), entry.get("white"), entry.get("ignored")
         if white is not None and not 0 < float(white) < np.inf:
             raise ValueError(f"white is {white!r}")
         truth = sidecar.truth_of(entry.get("truth", {}), folder, where=where)
@@ -159,6 +161,7 @@ def _loaded_view(entry: Any, folder: Path, *, where: str) -> View:
         raise DatasetError("view is not complete", where=where, why=f"{type(error).__name__} {error}") from None
     if split not in SPLITS:
         raise DatasetError(f"no split called {split!r}", where=where, remedy=f"valid: {', '.join(SPLITS)}")
-    mask, deviation = (files.inside(folder, one, where=where) if one else None for one in (mask, deviation))
-    picture = files.inside(folder, image, where=where)
-    return View(name, camera, matrix, split, picture, mask, truth, unit, deviation=deviation, white=white and float(white))
+    paths = (files.inside(folder, one, where=where) if one else None for one in (mask, deviation, ignored))
+    mask, deviation, ignored = paths
+    picture, white = files.inside(folder, image, where=where), white and float(white)
+    return View(name, camera, matrix, split, picture, mask, truth, unit, ignored=ignored, deviation=deviation, white=white)

@@ -159,7 +159,9 @@ def read_truth(view: View, camera: Camera, copies: Copies | None = None) -> dict
     """
     scale = camera.width / view.camera.width
     picture = read_scaled(view, scale, copies)
-    maps = {"rgb": over(picture)}
+    maps: dict[str, NDArray[Any]] = {"rgb": over(picture)}
+    if (counted := view.counted(camera)) is not None:
+        maps["counted"] = counted
     if picture.shape[-1] == 4:
         maps["alpha"] = picture[..., 3:]
     for channel in view.truth:
@@ -195,14 +197,16 @@ def compare(
 
     Args:
         shown: the maps of a `Picture` by name; "rgb" is required.
-        truth: from `read_truth`.
+        truth: from `read_truth`; pixels that are not "counted" are taken to be right, and left out of the PSNR.
         metric: whether depths are in metres.
         lpips: also compute the perceptual distance.
     """
-    pair = shown["rgb"], truth["rgb"]
-    found: dict[str, float | None] = {"psnr": metrics.psnr(*pair), "ssim": metrics.ssim(*pair)}
+    counted, pair = truth.get("counted"), (shown["rgb"], truth["rgb"])
+    if counted is not None:
+        pair = np.where(counted[..., None], shown["rgb"], truth["rgb"]), truth["rgb"]
+    found: dict[str, float | None] = {"psnr": metrics.psnr(*pair, counted), "ssim": metrics.ssim(*pair)}
     if "alpha" in truth:
-        inside = metrics.inside(truth["alpha"])
+        inside = metrics.inside(truth["alpha"]) & (True if counted is None else counted)
         found |= {"psnr_inside": metrics.psnr(*pair, inside), "ssim_inside": metrics.ssim(*pair, inside)}
     if lpips is not None:
         found["lpips"] = lpips(*pair)

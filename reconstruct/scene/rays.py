@@ -173,9 +173,21 @@ def view_pixels(
     view: View, normalisation: Normalisation, scale: float, copies: Copies | None, index: Int[np.ndarray, " n"] | None
 ) -> tuple[Float[np.ndarray, "n 4"], Float[np.ndarray, "n 3"]]:
     """Colours and directions of pixels of a view, as `Pixels` has them; `index` as of `view_rays`."""
-    stored = stored_pixels(view, scale, copies)
+    stored, camera = stored_pixels(view, scale, copies), scaled_camera(view, scale)
+    index = _of_counted(view, camera, index)
     colours = stored if index is None else stored.reshape(-1, stored.shape[-1])[index]
-    return training_colours(colours), view_rays(view, normalisation, scaled_camera(view, scale), index)[1]
+    return training_colours(colours), view_rays(view, normalisation, camera, index)[1]
+
+
+def _of_counted(view: View, camera: Camera, index: Int[np.ndarray, " n"] | None) -> Int[np.ndarray, " n"] | None:
+    """The index with other pixels of the view, drawn at random, in place of those that take no part."""
+    counted = view.counted(camera)
+    if counted is None:
+        return index
+    found = np.arange(counted.size) if index is None else index.copy()
+    wrong = ~counted.ravel()[found]
+    found[wrong] = np.random.default_rng(len(found)).choice(np.flatnonzero(counted), int(wrong.sum()))
+    return found
 
 
 class Pixels(eqx.Module):

@@ -118,3 +118,35 @@ def test_a_fisheye_is_smooth_on_its_axis() -> None:
 
 def test_plain_lenses_are_stored_without_rational_terms() -> None:
     assert set(Camera(2, 2, 1, 1, 1, 1).to_json()) == {"width", "height", "fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3"}
+
+
+def test_pixels_beyond_the_range_of_a_lens_are_not_valid() -> None:
+    """OpenCV's own distortion, inverted where it still grows with the radius: r (1 - 0.6 r^2) ends at r = 0.745."""
+    camera = Camera(64, 48, 60, 60, 32, 24, k1=-0.6)
+    radius = np.linspace(0, 1.2, 20_000)
+    points = np.stack([radius, 0 * radius, 0 * radius + 1], -1)
+    bent = cv2.projectPoints(points, np.zeros(3), np.zeros(3), np.eye(3), np.array([-0.6, 0, 0, 0]))[0].reshape(-1, 2)[:, 0]
+    furthest = bent.max()
+    columns = np.arange(64) + 0.5
+    expected = np.abs(columns - 32) / 60 < furthest
+    assert np.array_equal(camera.valid(np.stack([columns, 0 * columns + 24], -1)), expected)
+    right = camera.directions([[columns[expected][-1], 24.0]])[0]
+    assert right[0] == pytest.approx(
+        np.interp((columns[expected][-1] - 32) / 60, bent[: bent.argmax()], radius[: bent.argmax()]), abs=1e-6
+    )
+    valid = camera.valid_pixels()
+    assert valid is not None and valid[24].tolist() == expected.tolist()
+    assert replace(camera, k1=-0.1).valid_pixels() is None
+
+
+def test_a_fisheye_has_no_rays_beyond_a_right_angle() -> None:
+    """Equidistant: OpenCV's fisheye without coefficients has the angle times the focal length."""
+    camera = Camera(600, 600, 180, 180, 300, 300, fisheye=True)
+    columns, rows = np.meshgrid(np.arange(600) + 0.5, np.arange(600) + 0.5)
+    angle = np.hypot(columns - 300, rows - 300) / 180
+    valid = camera.valid_pixels()
+    assert valid is not None
+    assert valid[angle < np.deg2rad(88.9)].all() and not valid[angle > np.deg2rad(89.1)].any()
+    rays = camera.directions(np.stack([columns, rows], -1)[valid])
+    found = np.arctan(np.linalg.norm(rays[:, :2], axis=1))
+    assert np.abs(found - angle[valid]).max() < 1e-9

@@ -13,6 +13,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from koala3d.datasets import pose
+from koala3d.datasets.checks.check import check
 from koala3d.datasets.core.errors import DatasetError, UsageError
 from koala3d.datasets.formats import load_scene
 from koala3d.datasets.formats.colmap_files import read_model
@@ -308,3 +309,16 @@ def test_rotations_of_any_form_come_to_the_same(transforms: Writer) -> None:
     for view, matrix in zip(scene.views, poses(), strict=True):
         turn = Rotation.from_matrix(matrix[:3, :3]).inv() * Rotation.from_matrix(view.world_from_camera[:3, :3])
         assert turn.magnitude() < 1e-9 and pose.difference(view.world_from_camera, matrix)[0] < 1e-12
+
+
+def test_pixels_without_a_ray_are_counted_or_the_lens_is_refused(tmp_path: Path) -> None:
+    """A fisheye of 225 degrees whose rim is dark, and one whose formula holds nowhere."""
+    lens = {"OPENCV_FISHEYE": (30.0, 30.0, 60.0, 40.0, 0.0, 0.0, 0.0, 0.0)}
+    colmap.write(colmap.model(lens, poses(4)), tmp_path / "wide")
+    scene = load_scene(tmp_path / "wide")
+    assert any("of the pixels of 4 views have no ray" in note for note in scene.notes)
+    assert any("no ray" in finding.why for finding in check(tmp_path / "wide", matches=False))
+    lens = {"SIMPLE_RADIAL": (40.0, 60.0, 40.0, -3.0)}
+    colmap.write(colmap.model(lens, poses(4)), tmp_path / "none")
+    with pytest.raises(DatasetError, match=r"lens is not usable .* can be inverted at \d+% of the pixels"):
+        load_scene(tmp_path / "none")

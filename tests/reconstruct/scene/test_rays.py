@@ -1,10 +1,12 @@
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
 
+from koala3d.datasets.imaging import images
 from koala3d.datasets.scene import Scene
 from koala3d.datasets.spline import Grid, Spline
 from koala3d.reconstruct.scene.rays import (
@@ -95,3 +97,27 @@ def test_a_ring_of_cameras_above_lies_above(make_scene: Callable[..., Scene]) ->
     x, y, z = direction_of_cameras(scene.views, Normalisation.of(scene))
     assert np.hypot(x, y) < 0.1
     assert np.sin(np.arctan2(0.19, 0.4)) < z < np.sin(np.arctan2(0.35, 0.4))
+
+
+def test_pixels_that_take_no_part_are_never_drawn(make_scene: Callable[..., Scene], tmp_path: Path) -> None:
+    """A gripper at the lower edge, and the corners of a lens whose formula ends: other pixels of the view stand in for them."""
+    scene = make_scene(count=3)
+    first, second, third = scene.views
+    height, width = first.camera.height, first.camera.width
+    gripper = np.full((height, width), 255, np.uint8)
+    gripper[height - 5 :] = 0
+    images.write(tmp_path / "ignored.png", gripper)
+    bent = replace(second.camera, fx=0.6 * width, fy=0.6 * width, k1=-0.6)
+    views = (replace(first, ignored=tmp_path / "ignored.png"), replace(second, camera=bent), third)
+    found = Pixels.load(views, Normalisation.of(scene), 1.0, Silent())
+    whole = Pixels.load((first, second, third), Normalisation.of(scene), 1.0, Silent())
+    size = height * width
+    assert found.total == whole.total
+    above = np.asarray(whole.directions[: size - 5 * width])
+    drawn = {tuple(ray) for ray in np.asarray(found.directions[:size])}
+    assert drawn == {tuple(ray) for ray in above}
+    valid = bent.valid_pixels()
+    assert valid is not None and 0.3 < valid.mean() < 0.95, "the premise: the corners have no rays"
+    rays = {tuple(ray) for ray in view_rays(views[1], Normalisation.of(scene), None, np.flatnonzero(valid))[1]}
+    assert {tuple(ray) for ray in np.asarray(found.directions[size : 2 * size])} == rays
+    np.testing.assert_array_equal(found.directions[2 * size :], whole.directions[2 * size :])
