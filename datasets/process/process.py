@@ -13,7 +13,7 @@ from koala3d.datasets.core.errors import DatasetError, UsageError
 from koala3d.datasets.formats import colmap, koala
 from koala3d.datasets.formats.links import link
 from koala3d.datasets.imaging.downscale import streamed
-from koala3d.datasets.process.pictures import features, frames, photographs, upright
+from koala3d.datasets.process.pictures import features, frames, photographs, upright, videos
 from koala3d.datasets.process.pictures.features import PictureFeatures
 from koala3d.datasets.process.pictures.markers import Marker
 from koala3d.datasets.process.pictures.photographs import Photographs
@@ -74,7 +74,7 @@ def process(source: Path, out: Path, request: Request, wishes: Wishes) -> Proces
         console.hint(f"continuing in {work.folder}")
     found, turned = upright.copies(found, work.upright)
     pictures, damaged = _searched(found, work, request)
-    _matched(pictures, work, request, in_order=frames.is_video(source))
+    _matched(pictures, work, request, in_order=videos.is_video(source))
     groups = _mapped(pictures, work, source)
     left_out = {**found.damaged, **damaged}
     links = database.links(work.database)
@@ -94,7 +94,7 @@ def process(source: Path, out: Path, request: Request, wishes: Wishes) -> Proces
 def _pictures(source: Path, work: Work, request: Request) -> tuple[Photographs, bool]:
     """The photographs, or the frames of the video, and whether earlier work goes on."""
     choices = [request.match, request.cameras, None if request.vocabulary is None else state(request.vocabulary)]
-    if not frames.is_video(source):
+    if not videos.is_video(source):
         found = photographs.find(source)
         files_of = [state(photograph.path) for photograph in found.photographs]
         return found, work.start([str(source.absolute()), *files_of], choices)

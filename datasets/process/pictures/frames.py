@@ -4,7 +4,6 @@ One pass looks at every frame in a small version, a second writes the chosen one
 1981) sees between neighbours, so a camera that rests adds no frames, and one that hurries is not left with gaps.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,8 +15,8 @@ from koala3d.datasets.core.errors import DatasetError, UsageError
 from koala3d.datasets.core.files import atomic_folder
 from koala3d.datasets.core.progress import Count, ignore
 from koala3d.datasets.imaging import images
+from koala3d.datasets.process.pictures import videos
 
-SUFFIXES = frozenset({".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mts", ".mpg", ".mpeg", ".3gp"})
 SIDE = 480
 """Longest side of the frames that are compared [px]."""
 SHORTEST = 0.01
@@ -36,11 +35,6 @@ class Motion:
     """(n,) sum of the movements up to each frame, in picture diagonals; of one between two frames, the median place's."""
 
 
-def is_video(path: Path) -> bool:
-    """True for a file with the suffix of a video."""
-    return path.is_file() and path.suffix.lower() in SUFFIXES
-
-
 def extract(video: Path, count: int, folder: Path, *, done: Count = ignore) -> list[str]:
     """Write the best `count` frames of a video as JPEG files to a new folder, all or nothing; fewer where it moves too little.
 
@@ -50,7 +44,7 @@ def extract(video: Path, count: int, folder: Path, *, done: Count = ignore) -> l
     Raises:
         UsageError: it is no video, or nothing moves in it.
     """
-    shown = _length(video)
+    shown = videos.length(video)
     motion = observe(video, done=lambda k: done(k, max(2 * shown, k)))
     total = len(motion.moved)
     wanted = {int(index) for index in choose(motion, count)}
@@ -59,10 +53,10 @@ def extract(video: Path, count: int, folder: Path, *, done: Count = ignore) -> l
         raise UsageError("video shows too little movement", where=video, why=why, remedy="walk around the object")
     names = []
     with atomic_folder(folder) as temporary:
-        for index, frame in enumerate(_decoded(video)):
+        for index, frame in enumerate(videos.decoded(video)):
             if index in wanted:
                 names.append(f"frame_{index:06d}.jpg")
-                images.write(temporary / names[-1], upright(frame))
+                images.write(temporary / names[-1], videos.picture(frame))
             done(total + index + 1, 2 * total)
             if len(names) == len(wanted):
                 break
@@ -74,7 +68,7 @@ def observe(video: Path, *, done: Any = ignore) -> Motion:
     import cv2
 
     sharpness, moved, before = [], [0.0], None
-    for index, frame in enumerate(_decoded(video)):
+    for index, frame in enumerate(videos.decoded(video)):
         shrink = max(frame.width, frame.height) / SIDE
         size = {} if shrink <= 1 else {"width": round(frame.width / shrink), "height": round(frame.height / shrink)}
         grey = np.ascontiguousarray(frame.reformat(format="gray", **size).to_ndarray())
@@ -115,49 +109,3 @@ def choose(motion: Motion, count: int) -> NDArray[np.int64]:
         inside = np.flatnonzero(away <= max(0.25, away.min() + 0.1))
         chosen.append(int(inside[motion.sharpness[inside].argmax()]))
     return np.unique(chosen)
-
-
-def upright(frame: Any) -> NDArray[np.uint8]:
-    """(height, width, 3) sRGB of a frame, turned as the video says."""
-    return np.ascontiguousarray(np.rot90(frame.to_ndarray(format="rgb24"), round(frame.rotation / 90) % 4))
-
-
-def _length(video: Path) -> int:
-    """Number of frames by the header; 0 where it does not say."""
-    import av
-
-    with _opened(video) as container:
-        stream = container.streams.video[0]
-        if stream.frames:
-            return int(stream.frames)
-        rate = stream.average_rate or 30
-        return int(container.duration / av.time_base * rate) if container.duration else 0
-
-
-def _decoded(video: Path) -> Iterator[Any]:
-    """Frames one by one; a file that is cut off ends early."""
-    from av.error import FFmpegError
-
-    with _opened(video) as container:
-        stream = container.streams.video[0]
-        stream.thread_type = "AUTO"
-        try:
-            yield from container.decode(stream)
-        except FFmpegError:
-            return
-
-
-def _opened(video: Path) -> Any:
-    import av
-    from av.error import FFmpegError
-
-    try:
-        container = av.open(str(video))
-    except FFmpegError as error:
-        raise DatasetError(
-            "video cannot be read", where=video, why=str(error.strerror or error), remedy="copy it again"
-        ) from None
-    if not container.streams.video:
-        container.close()
-        raise UsageError("holds no moving pictures", where=video, remedy="give a video or a folder of photographs")
-    return container
