@@ -148,7 +148,11 @@ class View:
 
     def read_image(self) -> NDArray[np.float32]:
         """The image alone, mask or not, with as many channels as its file has. Raises as `read` does."""
-        picture = images.read(self.image)
+        return images.as_float(self.read_stored_image())
+
+    def read_stored_image(self) -> NDArray[Any]:
+        """`read_image` as its file has it: uint8, uint16 or float32."""
+        picture = images.read_stored(self.image)
         self._check_size(picture, self.image)
         return picture
 

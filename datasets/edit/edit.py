@@ -164,10 +164,8 @@ def _smaller_truth(key: str, values: NDArray[np.float32], camera: Camera) -> NDA
 
 def undistorted(scene: Scene, folder: Path, *, done: Step = ignore) -> Scene:
     """The scene with every view as a centred pinhole, written below `folder`; views that already are one keep their files."""
-    views = []
-    for view in scene.views:
-        views.append(export.place(view, folder, f"images/{file_name(view)}", _CENTRED).view)
-        done()
+    placed = export.place_all(scene.views, folder, lambda view: f"images/{file_name(view)}", _CENTRED, done)
+    views = [one.view for one in placed]
     pairs = {old.name: (old, new) for old, new in zip(scene.views, views, strict=True)}
 
     def moved(name: str, pixels: Pixels) -> Pixels:

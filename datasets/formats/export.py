@@ -6,6 +6,7 @@ A view that the format can hold keeps its files bit for bit; any other is resamp
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,9 @@ from koala3d.datasets.core.errors import DatasetError
 from koala3d.datasets.core.progress import Step
 from koala3d.datasets.formats.links import copy, file_name, new_file
 from koala3d.datasets.imaging import images, undistort
-from koala3d.datasets.scene import DISPARITY, Scene, View
+from koala3d.datasets.imaging.downscale import streamed
+from koala3d.datasets.imaging.reduced import READERS
+from koala3d.datasets.scene import DISPARITY, LOSSY, Scene, View
 
 ORDERS = {"normals": undistort.NEAREST, "depth": undistort.NEAREST}
 """Interpolation of truth maps that must not be mixed across edges; the others are interpolated linearly."""
@@ -76,8 +79,8 @@ def place_all(
 ) -> list[PlacedView]:
     """`place` every view at the stem that `stem_of` gives; `done` is called after each. Raises as `place` does."""
     placed = []
-    for view in views:
-        placed.append(place(view, folder, stem_of(view), layout))
+    for one in streamed(lambda view: place(view, folder, stem_of(view), layout), views, workers=READERS):
+        placed.append(one)
         done()
     return placed
 
@@ -116,19 +119,21 @@ def _kept(source: Path, folder: Path, stem: str) -> Path:
 
 def _redrawn(view: View, folder: Path, stem: str, pinhole: undistort.Pinhole | None, *, merged: bool) -> Path:
     """The image with its mask as alpha, or resampled, or both, at the bit depth of its file."""
-    as_float = view.image.suffix.lower() == ".exr"
-    picture = view.read_image()
+    suffix = view.image.suffix.lower()
+    picture = view.read_stored_image()
     if merged:
-        picture = np.concatenate([picture[..., :3], view.read()[..., 3:]], axis=-1)
+        mask = view.read_mask()
+        same = {np.dtype(np.uint8): images.to_uint8, np.dtype(np.uint16): images.to_uint16}.get(picture.dtype, np.asarray)
+        picture = np.concatenate([picture[..., :3], same(mask)], axis=-1)
     if pinhole is not None:
-        picture = pinhole.resample(picture, undistort.SMOOTH if as_float else undistort.COLOUR)
-    if not as_float and images.steps(view.image) == 65535:
-        picture = images.to_uint16(picture)
-    return _written(folder, f"{stem}{'.exr' if as_float else '.png'}", picture, view.image)
+        picture = pinhole.resample(picture, undistort.SMOOTH if suffix == ".exr" else undistort.COLOUR)
+    if suffix != ".exr" and (merged or suffix not in LOSSY):
+        suffix = ".png"
+    return _written(folder, f"{stem}{suffix}", picture, view.image)
 
 
-def _straightened(mask: Path, pinhole: undistort.Pinhole) -> NDArray[np.float32]:
-    return pinhole.resample(images.read(mask), undistort.SMOOTH)
+def _straightened(mask: Path, pinhole: undistort.Pinhole) -> NDArray[Any]:
+    return pinhole.resample(images.read_stored(mask), undistort.SMOOTH)
 
 
 def _written(folder: Path, name: str, picture: NDArray[np.generic], source: Path | None = None) -> Path:

@@ -92,7 +92,9 @@ def test_undistorted(make_scene: Callable[..., Scene], far_wall: Callable, tmp_p
     flat = edit.undistorted(with_sightings(make_scene(LENS)), tmp_path / "flat")
     assert all(view.camera.is_centred for view in flat.views)
     view = flat.views[3]
-    assert np.abs(view.read() - far_wall(view.camera, view.world_from_camera)).max() < 1.5 / 255
+    assert (
+        np.abs(view.read() - far_wall(view.camera, view.world_from_camera)).max() < 1.8 / 255
+    )  # two roundings to 8 bits, and positions to a 64th of a pixel
     assert_sightings_fit(flat)
 
 

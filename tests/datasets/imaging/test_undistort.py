@@ -36,13 +36,15 @@ def test_a_centred_pinhole_is_itself() -> None:
 
 
 def test_resampled_picture_shows_the_same_world(far_wall) -> None:
-    """Against the exact picture of the new camera. The wall is smooth over 20 pixels, so that a quintic is nearly exact."""
+    """Against the exact picture of the new camera. The wall is smooth over 20 pixels, so that positions are what limits it."""
     found = pinhole(LENS)
     world_from_camera = pose.from_rotation_vector((0.3, -0.2, 0.5))
     picture = far_wall(LENS, world_from_camera).astype(np.float32)
     exact = far_wall(found.camera, world_from_camera @ found.source_from_camera)
     error = np.abs(found.resample(picture) - exact)
-    assert error.max() < 2e-4  # an eighth of an 8-bit step; a shift of 0.02 px would show as 5e-4
+    assert (
+        error.max() < 1.5e-3
+    )  # OpenCV rounds positions to a 64th of a pixel on each axis, and its Lanczos sums to one within a thousandth
     assert found.turned_deg > 1
 
 
