@@ -13,6 +13,7 @@ from koala3d.datasets.core.errors import DatasetError, UsageError
 from koala3d.datasets.formats import colmap, koala
 from koala3d.datasets.formats.links import link
 from koala3d.datasets.imaging.downscale import streamed
+from koala3d.datasets.imaging.reduced import READERS
 from koala3d.datasets.process.pictures import features, frames, photographs, upright, videos
 from koala3d.datasets.process.pictures.features import PictureFeatures
 from koala3d.datasets.process.pictures.markers import Marker
@@ -123,7 +124,7 @@ def _searched(found: Photographs, work: Work, request: Request) -> tuple[list[Pi
     chosen, damaged = [], {}
     cameras = photographs.cameras(found.photographs, request.cameras)
     with console.progress("features", len(cameras), "pictures") as shown:
-        results = streamed(features_of, range(len(cameras)))
+        results = streamed(features_of, range(len(cameras)), workers=READERS)
         for photograph, camera, result in zip(found.photographs, cameras, results, strict=True):
             if isinstance(result, DatasetError):
                 damaged[photograph.path.name] = f"{result.what}: {result.why}"

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from koala3d.datasets.core import arrays, files
 from koala3d.datasets.core.errors import DatasetError
-from koala3d.datasets.imaging import images, sift
+from koala3d.datasets.imaging import images, reduced, sift
 from koala3d.datasets.process.pictures import markers
 from koala3d.datasets.process.pictures.markers import Marker
 
@@ -92,10 +92,10 @@ def _searched(path: Path) -> tuple[NDArray[np.uint8], NDArray[np.uint8] | None]:
     """(height, width, 3) sRGB bytes of at most `SIDE` pixels, and the mask of an alpha."""
     import cv2
 
-    stored = _bytes(images.read_stored(path))
-    height, width = stored.shape[:2]
+    width, height = images.size(path)
     shrink = max(1.0, max(height, width) / SIDE)
     size = max(round(width / shrink), 1), max(round(height / shrink), 1)
+    stored = _bytes(reduced.read_stored(path, *size))
     small: Any = stored if shrink == 1 else cv2.resize(stored, size, interpolation=cv2.INTER_AREA)
     small = small.reshape(size[1], size[0], -1)
     mask = np.where(small[..., -1] > 127, 255, 0).astype(np.uint8) if small.shape[-1] in (2, 4) else None

@@ -6,7 +6,10 @@ from itertools import combinations
 import numpy as np
 
 from koala3d.datasets.core.progress import Step, ignore
+from koala3d.datasets.imaging.downscale import streamed
+from koala3d.datasets.imaging.reduced import READERS
 from koala3d.datasets.process.pictures.features import PictureFeatures
+from koala3d.datasets.process.poses.looks import likeliest
 
 Pairs = list[tuple[int, int]]
 
@@ -19,6 +22,8 @@ FURTHEST = 64
 """Largest distance in frames at which it is matched besides, at every power of two."""
 STRONGEST, SHARED = 300, 5
 """Pictures look alike where so many of their strongest features have at least so many mutual matches (Wu 2013, section 3)."""
+LIKELIEST = 150
+"""So many others of each picture get that look: those whose vectors are nearest."""
 RATIO = 0.8
 """A match must be this much nearer than the second best (Lowe 2004, section 7.1)."""
 
@@ -53,9 +58,16 @@ def alike(features: Sequence[PictureFeatures], *, done: Step = ignore) -> Pairs:
     for found in features:
         chosen = found.descriptors[:STRONGEST].astype(np.float32)
         strongest.append(chosen / np.maximum(np.linalg.norm(chosen, axis=1, keepdims=True), 1e-6))
+    worth: list[list[int]] = [[] for _ in features]
+    for i, j in sorted(likeliest(features, LIKELIEST)):
+        worth[i].append(j)
+
+    def found(i: int) -> Pairs:
+        return [(i, j) for j in worth[i] if _shared(strongest[i], strongest[j]) >= SHARED]
+
     pairs = []
-    for i, first in enumerate(strongest):
-        pairs += [(i, j) for j in range(i + 1, len(strongest)) if _shared(first, strongest[j]) >= SHARED]
+    for some in streamed(found, range(len(features)), workers=READERS):
+        pairs += some
         done()
     return pairs
 

@@ -7,6 +7,7 @@ import pytest
 
 from koala3d.datasets.process.pictures.features import PictureFeatures
 from koala3d.datasets.process.poses import pairs
+from koala3d.datasets.process.poses.looks import likeliest, looks
 
 
 def pictures_of(scenes: list[int]) -> list[PictureFeatures]:
@@ -53,3 +54,10 @@ def test_many_pictures_are_not_matched_each_with_each(monkeypatch: pytest.Monkey
     seen: list[int] = []
     assert len(pairs.choose(pictures_of([0, 1, 0, 1, 0]), "auto", in_order=False, done=lambda: seen.append(1))) == 4
     assert len(seen) == 5
+
+
+def test_pictures_of_one_scene_have_the_nearest_vectors() -> None:
+    """Among those of three scenes, the two others of the same one; a picture without features has no place to be near to."""
+    made = pictures_of([0, 1, 2, 0, 1, 2, 0, 1, 2])
+    assert likeliest(made, 2) == {(i, j) for i in range(9) for j in range(i + 1, 9) if i % 3 == j % 3}
+    assert np.allclose(np.linalg.norm(looks(made), axis=1), 1)
