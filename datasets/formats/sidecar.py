@@ -22,11 +22,12 @@ FORMAT, VERSION = "koala-sidecar", 1
 def write(folder: Path, scene: Scene, views: dict[str, View]) -> None:
     """Write what a format cannot hold. `views` maps the format's name of each view to the view as exported."""
 
-    def entry(view: View) -> dict[str, Any]:
+    def entry(index: int, view: View) -> dict[str, Any]:
         truth = {key: path.relative_to(folder).as_posix() for key, path in view.truth.items()}
-        return {"name": view.name, "split": view.split, "truth": truth, "depth_unit": view.depth_unit}
+        return {"index": index, "name": view.name, "split": view.split, "truth": truth, "depth_unit": view.depth_unit}
 
-    content = {"format": FORMAT, "version": VERSION, **facts(scene), "views": {name: entry(v) for name, v in views.items()}}
+    entries = {name: entry(index, view) for index, (name, view) in enumerate(views.items())}
+    content = {"format": FORMAT, "version": VERSION, **facts(scene), "views": entries}
     files.write_json(folder / FILE, content)
 
 
@@ -128,7 +129,11 @@ def restore(content: dict[str, Any], views: tuple[View, ...], folder: Path, *, n
         except (KeyError, TypeError, AttributeError, ValueError) as error:
             raise DatasetError("view is not complete", where=f"{where}, {view.name}", why=str(error)) from None
 
-    order: dict[str, int] = {name: index for index, name in enumerate(known)}
-    ordered = sorted(views, key=lambda view: order.get(view.name, len(order)))
+    def place(view: View) -> int:
+        entry = known.get(view.name)
+        index = entry.get("index") if isinstance(entry, dict) else None
+        return index if isinstance(index, int) else len(known)
+
+    ordered = sorted(views, key=place)
     scene = scene_of(content, tuple(map(restored, ordered)), where=where)
     return replace(scene, notes=(*scene.notes, *notes))
