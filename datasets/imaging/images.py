@@ -1,8 +1,8 @@
 """Images on disk and in memory. The only module that imports OpenImageIO.
 
-In memory an image is (height, width, channels). 8- and 16-bit files are scaled to 0..1 and not converted otherwise: an sRGB
-file gives sRGB values, alpha is straight. Float files (EXR, TIFF) are not scaled. Pixels are taken as they are stored, whatever
-an orientation tag says: `imaging.orientation`.
+In memory an image is (height, width, channels). 8- and 16-bit files are scaled to 0..1; they are sRGB unless they state other
+colours, which are converted (`imaging.profiles`). Alpha is straight. Float files (EXR, TIFF) are not scaled. Pixels are taken as
+they are stored, whatever an orientation tag says (`imaging.orientation`).
 """
 
 import errno
@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from koala3d.datasets.core import files
 from koala3d.datasets.core.budgets import budget, free_memory
 from koala3d.datasets.core.errors import DatasetError, UsageError
-from koala3d.datasets.imaging import layers
+from koala3d.datasets.imaging import layers, profiles
 from koala3d.datasets.imaging.pixels import area_average
 
 PIXELS = "KOALA_MAX_PIXELS"
@@ -78,7 +78,20 @@ def _decoded(path: Path, kind: str | None) -> NDArray[Any]:
         pixels = pixels[..., kept]
     if layers.has_associated_alpha(spec) and kept[-1] == spec.alpha_channel:
         pixels = layers.straight(pixels)
-    return np.ascontiguousarray(layers.whole(pixels, spec))
+    return np.ascontiguousarray(layers.whole(in_srgb(pixels, spec, path), spec))
+
+
+def in_srgb(pixels: NDArray[Any], spec: Any, path: Path) -> NDArray[Any]:
+    """(height, width, channels) of a file in sRGB, if its ICC profile states other colours. Raises DatasetError if it cannot be."""
+    stored = spec.getattribute("ICCProfile") if pixels.shape[-1] in (3, 4) else None
+    if stored is None:
+        return pixels
+    try:
+        convert = profiles.conversion(bytes(np.asarray(stored, np.uint8)))
+    except profiles.Unreadable as error:
+        what, remedy = "colour profile of the image cannot be followed", "convert the image to sRGB"
+        raise DatasetError(what, where=path, why=str(error), remedy=remedy) from None
+    return pixels if convert is None else convert(pixels)
 
 
 def size(path: Path) -> tuple[int, int]:

@@ -73,7 +73,7 @@ def read_stored(path: Path, width: int, height: int) -> NDArray[Any]:
     if pixels is None:
         return images.read_stored(path)
     pixels = cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB) if spec.nchannels == 3 else pixels[..., None]
-    return np.ascontiguousarray(pixels)
+    return np.ascontiguousarray(images.in_srgb(np.asarray(pixels), spec, path))
 
 
 def _is_whole_jpeg(path: Path) -> bool:
