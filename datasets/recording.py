@@ -217,13 +217,23 @@ class Recording:
         return cls(path, manifest, frames)
 
     def append(self, frame: Frame) -> None:
-        """Add a frame; returns once it is on the disk. Its image must exist already, and its name be on the disk."""
+        """Add a frame; returns once it is on the disk. Its image must exist already, and its name be on the disk.
+
+        Raises DatasetError: another process has added frames meanwhile; nothing is changed.
+        """
         path = self.path / FRAMES
         line, new = json.dumps(frame.to_json(), allow_nan=False) + "\n", not path.exists()
         with open(path, "w+b" if new else "r+b") as file:
             for _ in self.frames:
                 file.readline()
-            file.seek(file.tell())
+            end = file.tell()
+            if b"\n" in file.read():
+                why, remedy = (
+                    f"it holds more than the {len(self.frames)} frames that this session knows",
+                    "let one session record",
+                )
+                raise DatasetError("another process records here", where=path, why=why, remedy=remedy)
+            file.seek(end)
             file.truncate()  # drops an incomplete line left by a kill
             file.write(line.encode())
             file.flush()

@@ -17,7 +17,7 @@ from koala3d.capture.planning import Obstacles, PlannedView, connect, plan
 from koala3d.capture.recording.manifest import manifest_of, require_same_session
 from koala3d.capture.recording.writer import Advance, TakenView, Writer
 from koala3d.capture.rig.rig import Rig
-from koala3d.datasets.core import arrays, files
+from koala3d.datasets.core import arrays, files, locks
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.core.space import require_room
 from koala3d.datasets.radiometry.response import Response
@@ -55,7 +55,7 @@ def record(
         The recording, with several cameras that of the first one.
 
     Raises:
-        UsageError: `out` contains something other than this session.
+        UsageError: `out` contains something other than this session, or another process records there.
         KoalaError: the disk has no room for the views; nothing has moved.
         CaptureError: an error of the rig or the plan, or a full disk; the arm stands still, and `out` can be resumed. It names
             the camera where there are several.
@@ -63,7 +63,8 @@ def record(
     planned = plan(trajectory, rig.carrier) if planned is None else planned
     out = Path(out)
     try:
-        return _record(trajectory, rig, _open(trajectory, rig, out, resume, planned), planned, advance)
+        with locks.beside(out, "recording"):
+            return _record(trajectory, rig, _open(trajectory, rig, out, resume, planned), planned, advance)
     except OSError as error:
         if error.errno not in (errno.ENOSPC, errno.EDQUOT):
             raise

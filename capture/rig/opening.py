@@ -16,6 +16,7 @@ from koala3d.capture.rig.cameras import camera_in
 from koala3d.capture.rig.controllers import controller_of, host_of
 from koala3d.capture.rig.naming import describe
 from koala3d.capture.rig.rig import Rig
+from koala3d.datasets.core import locks
 from koala3d.datasets.core.errors import UsageError
 
 if TYPE_CHECKING:
@@ -71,8 +72,12 @@ def open_rig(
             opened = {}
             for number, (camera_name, one) in enumerate(description.each.items()):
                 with naming(camera_name):
+                    if controller is None:
+                        stack.enter_context(locks.device(f"camera-{one.camera.model}-{one.camera.serial}", "camera"))
                     camera, truth = camera_in(one, trajectory, controller, scene, seed, turned, number)
                     opened[camera_name] = stack.enter_context(camera), one, truth
+            if controller is None:
+                stack.enter_context(locks.device(f"arm-{host_of(description, controller)}", "arm"))
             robot = stack.enter_context(arm_of(description, trajectory, controller, take_over))
             driven = table if turned is None else turned.reached
             turntable = stack.enter_context(_turntable(driven))  # last, since it may turn to find its zero

@@ -34,6 +34,8 @@ DEPTHS = ("depth_file_path", "depth_path")
 """Keys of a frame's depth, of nerfstudio and of instant-ngp."""
 SHUTTERS = ("rolling_shutter", "rolling_shutter_time", "velocity")
 """Keys of what a camera does while its picture is read out."""
+DYNAMIC = "dynamic_mask_"
+"""What the names of instant-ngp's masks of moving things begin with."""
 DEPTH_STEP = 1e-3
 """World units per step of the depth files that are written (nerfstudio's default)."""
 
@@ -75,7 +77,7 @@ def load(
     known = sidecar.read(folder)
     if known is not None:
         return replace(sidecar.restore(known, views, folder, notes=tuple(gathering.notes)), points=points, colours=colours)
-    gathering.notes += _unused(content, frames)
+    gathering.notes += _unused(content, frames, views)
     if not stated:
         views = splits.hold_out(views, hold_out)
     scene = assemble.scene(gathering, views, "nerfstudio")
@@ -103,8 +105,8 @@ def _used(gathering: assemble.Gathering, content: Any, stated: dict[str, str], *
     return good
 
 
-def _unused(content: dict[str, Any], frames: Sequence[dict[str, Any]]) -> list[str]:
-    """Notes on what the frames state and a scene cannot hold."""
+def _unused(content: dict[str, Any], frames: Sequence[dict[str, Any]], views: Sequence[View]) -> list[str]:
+    """Notes on what the frames state, or lies beside their images, and is not read."""
     notes, times = [], {frame.get("time") for frame in frames}
     if len(times - {None}) > 1:
         notes.append(f"frames are of {len(times)} times; what moves in between is not known: the scene is read as one at rest")
@@ -112,6 +114,8 @@ def _unused(content: dict[str, Any], frames: Sequence[dict[str, Any]]) -> list[s
         notes.append("depth of the frames may be a sensor's or an estimate: it is not read as truth")
     if any(content.get(key) or any(frame.get(key) for frame in frames) for key in SHUTTERS):
         notes.append("the motion of a rolling shutter is not read: each picture has one pose")
+    if any(view.image.with_name(f"{DYNAMIC}{view.image.stem}.png").is_file() for view in views):
+        notes.append(f"pictures {DYNAMIC}*.png, which hide what moves, are not used: give masks of the object instead")
     return notes
 
 

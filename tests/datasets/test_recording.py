@@ -114,3 +114,13 @@ def test_create_and_open_refuse(recording: Recording, tmp_path: Path) -> None:
         Recording.create(recording.path, {})
     with pytest.raises(UsageError, match="is not a recording"):
         Recording.open(tmp_path)
+
+
+def test_frames_of_another_session_are_never_cut_off(recording: Recording) -> None:
+    """One that knows three of eight frames must not make them four."""
+    early = Recording.open(recording.path)
+    for index in range(3, 8):
+        recording.append(frame(index))
+    with pytest.raises(DatasetError, match=r"another process records here \(it holds more than the 3 frames"):
+        early.append(frame(3))
+    assert [f.name for f in Recording.open(recording.path).frames] == [f"{index:03d}" for index in range(8)]

@@ -15,7 +15,7 @@ from koala3d.capture.planning import plan
 from koala3d.capture.recording.check import check
 from koala3d.capture.recording.recorder import record
 from koala3d.capture.rig.rig import Rig
-from koala3d.datasets.core import files
+from koala3d.datasets.core import files, locks
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.imaging import images
 from koala3d.datasets.recording import Recording
@@ -252,3 +252,11 @@ def test_it_waits_for_two_equal_pictures_if_requested(trajectory, rig, views, tm
 
 def test_resume_without_a_recording_starts_one(trajectory, rig, views, tmp_path):
     assert len(record(trajectory, rig, tmp_path / "new", resume=True, planned=views[:1]).frames) == 1
+
+
+@pytest.mark.parametrize("resume", [False, True])
+def test_one_session_at_a_time_writes_to_a_recording(trajectory, rig, views, tmp_path, resume):
+    with locks.beside(tmp_path / "rec", "recording"), pytest.raises(UsageError, match=r"recording is in use \(by .*process"):
+        record(trajectory, rig, tmp_path / "rec", planned=views, resume=resume)
+    assert list(tmp_path.iterdir()) == []
+    assert len(record(trajectory, rig, tmp_path / "rec", planned=views).frames) == len(views)

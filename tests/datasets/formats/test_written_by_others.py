@@ -161,6 +161,12 @@ def test_lenses_that_are_stated_by_keys_are_refused(transforms: Writer, keys: di
         load_scene(transforms(**keys))
 
 
+def test_masks_of_what_moves_are_named(transforms: Writer) -> None:
+    folder = transforms()
+    photographs.write(folder / "images/dynamic_mask_03.png", np.full((80, 120), 255, np.uint8))
+    assert any("dynamic_mask_*.png, which hide what moves, are not used" in note for note in load_scene(folder).notes)
+
+
 def test_dots_in_a_name_without_suffix_belong_to_it(transforms: Writer, tmp_path: Path) -> None:
     folder = transforms()
     content = json.loads((folder / "transforms.json").read_text())
