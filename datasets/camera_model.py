@@ -153,7 +153,7 @@ class Camera:
         return distorted * np.where(radius > 1e-9, np.interp(radius, bent, ideal) / np.maximum(radius, 1e-9), 1.0)
 
     def valid(self, pixels: ArrayLike) -> NDArray[np.bool_]:
-        """(...) whether each of (..., 2) pixel coordinates has a ray: the lens can be inverted there, within `WIDEST` of the axis."""
+        """(...) whether (..., 2) pixel coordinates have a ray: the lens can be inverted there, within `WIDEST` of the axis."""
         distorted = (np.asarray(pixels, np.float64) - [self.cx, self.cy]) / [self.fx, self.fy]
         if self.is_pinhole:
             return np.ones(distorted.shape[:-1], bool)

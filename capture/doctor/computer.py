@@ -8,7 +8,7 @@ import numpy as np
 
 from koala3d.capture.doctor.lines import Line, judged, unknown
 from koala3d.capture.doctor.report import ControllerReport
-from koala3d.datasets.core.space import readable
+from koala3d.datasets.core.budgets import readable
 
 EARLIEST = datetime(2026, 1, 1, tzinfo=UTC)  # no clock that is right shows an earlier time than that of this program
 DRIFT = 1e-3  # of the controller's clock against ours; both are quartz, good to 1e-4

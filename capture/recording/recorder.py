@@ -18,8 +18,8 @@ from koala3d.capture.recording.manifest import manifest_of, require_same_session
 from koala3d.capture.recording.writer import Advance, TakenView, Writer
 from koala3d.capture.rig.rig import Rig
 from koala3d.datasets.core import arrays, files, locks
+from koala3d.datasets.core.budgets import require_room
 from koala3d.datasets.core.errors import UsageError
-from koala3d.datasets.core.space import require_room
 from koala3d.datasets.radiometry.response import Response
 from koala3d.datasets.recording import IMAGES, MANIFEST, RADIOMETRY, TRUTH, Frame, Recording
 

@@ -20,6 +20,7 @@ from koala3d.datasets.core import locks
 from koala3d.datasets.core.errors import UsageError
 
 if TYPE_CHECKING:
+    from koala3d.capture.rig.controllers import Simulation
     from koala3d.capture.sim.turntable import SimulatedTurntable
 
 Examination = Callable[[RigDescription, str, bool], None]
@@ -72,12 +73,10 @@ def open_rig(
             opened = {}
             for number, (camera_name, one) in enumerate(description.each.items()):
                 with naming(camera_name):
-                    if controller is None:
-                        stack.enter_context(locks.device(f"camera-{one.camera.model}-{one.camera.serial}", "camera"))
+                    stack.enter_context(_lock(f"camera-{one.camera.model}-{one.camera.serial}", "camera", controller))
                     camera, truth = camera_in(one, trajectory, controller, scene, seed, turned, number)
                     opened[camera_name] = stack.enter_context(camera), one, truth
-            if controller is None:
-                stack.enter_context(locks.device(f"arm-{host_of(description, controller)}", "arm"))
+            stack.enter_context(_lock(f"arm-{description.robot.host}", "arm", controller))
             robot = stack.enter_context(arm_of(description, trajectory, controller, take_over))
             driven = table if turned is None else turned.reached
             turntable = stack.enter_context(_turntable(driven))  # last, since it may turn to find its zero
@@ -88,6 +87,11 @@ def open_rig(
             }
             first = next(iter(rigs.values()))
             yield replace(first, cameras=rigs) if description.cameras else first
+
+
+def _lock(name: str, what: str, controller: "Simulation | None") -> AbstractContextManager[None]:
+    """The lock of a real device, which one process uses at a time."""
+    return locks.device(name, what) if controller is None else nullcontext()
 
 
 def _turntable(table: TurntableDescription | None) -> AbstractContextManager[Turntable | None]:

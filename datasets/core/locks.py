@@ -90,5 +90,6 @@ def _opened(path: Path, what: str) -> int:
 def _owner() -> str:
     command = " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])[:200]
     with suppress(OSError, KeyError):
-        return f"by {getpass.getuser()} on {socket.gethostname()}, process {os.getpid()}, since {time.strftime('%H:%M:%S')}: {command}"
+        since = time.strftime("%H:%M:%S")
+        return f"by {getpass.getuser()} on {socket.gethostname()}, process {os.getpid()}, since {since}: {command}"
     return f"by process {os.getpid()} on {socket.gethostname()}: {command}"

@@ -82,7 +82,7 @@ def _decoded(path: Path, kind: str | None) -> NDArray[Any]:
 
 
 def in_srgb(pixels: NDArray[Any], spec: Any, path: Path) -> NDArray[Any]:
-    """(height, width, channels) of a file in sRGB, if its ICC profile states other colours. Raises DatasetError if it cannot be."""
+    """(height, width, channels) of a file in sRGB, if its ICC profile states other colours; DatasetError if it cannot be."""
     stored = spec.getattribute("ICCProfile") if pixels.shape[-1] in (3, 4) else None
     if stored is None:
         return pixels

@@ -32,7 +32,8 @@ MARKS = (
     (("cameras.sfm", "*.sfm"), "{found} is of Meshroom", "aliceVision_exportColmap --input {found} --output {folder}"),
     (("bundle.out", "bundle/bundle.out"), "{found} is of Bundler", KNOWN),
     (("groundtruth.txt", "*trajectory*.txt", "traj*.txt"), "{found} may hold poses", KNOWN),
-    (("*.csv",), "{found} may hold poses, as those of RealityCapture", "export COLMAP's format instead; if it holds none: datasets process {images} --out {new}"),
+    (("*.csv",), "{found} may hold poses, as those of RealityCapture",
+     "export COLMAP's format instead; if it holds none: datasets process {images} --out {new}"),
     (("*.xml",), "{found} may be of Metashape", "ns-process-data metashape --data {images} --xml {found} --output-dir {new}"),
     (("*.db",), "{found} is there, a model is not", "mkdir -p {folder}/sparse && "
      "colmap mapper --database_path {found} --image_path {images} --output_path {folder}/sparse"),

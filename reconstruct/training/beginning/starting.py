@@ -6,9 +6,9 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from koala3d.datasets.core.budgets import require_room
 from koala3d.datasets.core.console import hint
 from koala3d.datasets.core.files import refuse_existing
-from koala3d.datasets.core.space import require_room
 from koala3d.datasets.scene import Scene
 from koala3d.reconstruct import checkpoint
 from koala3d.reconstruct.config import Config

@@ -3,8 +3,8 @@ from pathlib import Path
 
 import pytest
 
+from koala3d.datasets.core.budgets import readable, require_room
 from koala3d.datasets.core.errors import KoalaError
-from koala3d.datasets.core.space import readable, require_room
 
 
 def test_room_is_asked_of_the_disk_that_will_hold_the_folder(tmp_path: Path) -> None:
