@@ -47,8 +47,8 @@ def pack(rows: Rows, *, rays: int, capacity: int) -> tuple[Int[Array, " rays"], 
     kinds = (jnp.int32, jnp.int32, jnp.float32, jnp.float32, jnp.bool_)
     results = [jax.ShapeDtypeStruct((rays,), kind) for kind in (jnp.int32, jnp.bool_)]
     results += [jax.ShapeDtypeStruct((capacity,), kind) for kind in kinds]
-    order, used, *entries = native.call("pack", results, *rows)
-    return order, used, RaySamples(*entries, rays, rows.t.shape[1])
+    order, used, ray, slot, t, length, valid = native.call("pack", results, *rows)
+    return order, used, RaySamples(ray, slot, t, length, valid, rays, rows.t.shape[1])
 
 
 def _numbers(space: Space) -> Float[np.ndarray, " 17"]:

@@ -64,8 +64,9 @@ class OccupiedSteps(Sampler):
         """With a full grid, less what is not `possible`."""
         sampler, normalisation = config.sampler, facts.normalisation
         space = normalisation.space
-        prefers = facts.box_is_stated and facts.half_box is not None and not space.single_grid
-        focused = focus.Focus(facts.half_box) if prefers else None
+        focused = None
+        if facts.box_is_stated and facts.half_box is not None and not space.single_grid:
+            focused = focus.Focus(facts.half_box)
         return cls(
             grid=Occupancy.create(
                 config.train.seed,

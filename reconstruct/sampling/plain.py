@@ -48,7 +48,7 @@ def pack(rows: Rows, *, rays: int, capacity: int) -> tuple[Int[Array, " rays"], 
         the samples.
     """
     all_rays, slots = rows.t.shape
-    order, count = jnp.arange(all_rays), rows.count
+    order, count = jnp.arange(all_rays), rows.filled
     if rays < all_rays:
         (order,) = jnp.nonzero(count, size=rays, fill_value=0)
         count = jnp.where(jnp.arange(rays) < jnp.count_nonzero(count), count[order], 0)

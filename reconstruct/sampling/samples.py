@@ -12,11 +12,11 @@ from koala3d.reconstruct.scene.space import Space
 
 
 class Rows(NamedTuple):
-    """Samples of each ray, the first `count` entries of its row."""
+    """Samples of each ray, first in its row: t and length as in `RaySamples`, 1 and 0 in the slots that are not filled."""
 
     t: Float[Array, "rays slots"]
     length: Float[Array, "rays slots"]
-    count: Int[Array, " rays"]
+    filled: Int[Array, " rays"]
 
 
 class RaySamples(eqx.Module):

@@ -59,7 +59,7 @@ def numbers(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 def rays_apart(ours: Rows, theirs: Rows) -> int:
     """Rays whose samples are not the same."""
-    same = np.asarray(ours.count) == np.asarray(theirs.count)
+    same = np.asarray(ours.filled) == np.asarray(theirs.filled)
     # far away, 1 / t is the small difference of disparities below 20 = 1 / near: 2e-6 of error times t
     for one, other in ((ours.t, theirs.t), (ours.length, theirs.length)):
         same &= np.isclose(one, other, rtol=2e-4, atol=2e-6).all(-1)
@@ -73,7 +73,7 @@ def test_the_same_samples_in_every_space(space: Space, share: float) -> None:
     rays, grid = some_rays(RAYS), some_grid(space, share)
     given_all = (rays, steps_of(rays, space), *numbers(RAYS, 2))
     theirs = sample_of(plain)(grid, *given_all, space=space, max_per_ray=24)
-    assert (np.asarray(theirs.count) > 0).any() == (share > 0)
+    assert (np.asarray(theirs.filled) > 0).any() == (share > 0)
     for count in (1, 63, RAYS):
         first = lambda tree: jax.tree.map(lambda one: np.asarray(one)[:count], tree)  # noqa: B023, E731
         ours = sample_of(compiled)(grid, *first(given_all), space=space, max_per_ray=24)
@@ -86,7 +86,7 @@ def test_all_empty_and_all_full(value: float, most: int) -> None:
     columns = Columns.of(np.full((200, STEPS), value, np.float32))
     ours, theirs = (columns.sample(way, *numbers(200, 3), most) for way in (compiled, plain))
     assert rays_apart(ours, theirs) <= 2
-    assert np.median(ours.count) == (most - 1 if value else 0)
+    assert np.median(ours.filled) == (most - 1 if value else 0)
 
 
 @given(st.integers(0, 10000), st.floats(0.01, 1.0), st.sampled_from([2, 64]))
