@@ -26,12 +26,11 @@ KERNELS = {
     "frame": ("probe",),
     "lattice": ("encode", "scatter"),
     "descent": ("descend",),
-    "march": ("march",),
+    "sample": ("sample",),
     "pack": ("pack",),
     "layers": ("evaluate", "evaluate_back"),
     "squares": ("squares",),
     "rays": ("composite", "composite_back"),
-    "look": ("look",),
 }
 """Compiled functions that XLA calls, by module of `loops`."""
 APART = ("layers", "rays", "squares", "descent")

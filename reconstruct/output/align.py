@@ -115,7 +115,7 @@ def _linearised(
     A ray's colour depends on no other ray: one backward pass per colour gives its slopes along every ray at once.
     """
     rays = moved(rays, twist[None])
-    found = model.sampler.look(rays)
+    found = model.sampler.unjittered(rays)
 
     def colours(origins: Float[Array, "n 3"], directions: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
         shifted = Rays(origins, directions, rays.radii, light=rays.light)

@@ -75,8 +75,7 @@ def taken(rays: Lists, rows: Int[np.ndarray, " size"]) -> Lists:
 def on_device(rays: Lists) -> Rays:
     """The same rays as programs take them."""
     origins, directions, radii, light = rays
-    lit = None if light is None else jnp.asarray(light)
-    return Rays(jnp.asarray(origins), jnp.asarray(directions), jnp.asarray(radii), light=lit)
+    return Rays(*map(jnp.asarray, (origins, directions, radii)), light=None if light is None else jnp.asarray(light))
 
 
 def ahead(begun: Iterator[Any]) -> Iterator[Any]:
@@ -176,7 +175,7 @@ class Renderer:
         self, model: Model, rays: Rays, count: Int[Array, ""], with_normals: bool, furthest: Float[Array, ""] | None
     ) -> Float[Array, "rays channels"]:
         """All channels of the first `count` rays side by side."""
-        found, size = model.sampler.look(rays), min(SHADED, rays.radii.shape[0])
+        found, size = model.sampler.unjittered(rays), min(SHADED, rays.radii.shape[0])
         if furthest is not None:  # an interval of no length absorbs nothing
             cut = jnp.where(found.samples.t > furthest, 0.0, found.samples.length)
             found = eqx.tree_at(lambda f: f.samples.length, found, cut)

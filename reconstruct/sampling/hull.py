@@ -73,8 +73,8 @@ def cells_in_sight(views: tuple[View, ...], normalisation: Normalisation, grid: 
     scene = np.where(radius > 1, outward / np.maximum(2 - radius, 1e-3), contracted)
     positions = np.stack([view.world_from_camera[:3, 3] for view in views])
     furthest = np.linalg.norm((positions - normalisation.centre) * normalisation.scale, axis=-1).max()
-    near = np.linalg.norm(scene, axis=-1) < furthest
-    return views_of(views, normalisation, scene) >= np.where(near, min(needed, len(views)), 1)
+    among_cameras = np.linalg.norm(scene, axis=-1) < furthest
+    return views_of(views, normalisation, scene) >= np.where(among_cameras, min(needed, len(views)), 1)
 
 
 def views_of(views: tuple[View, ...], normalisation: Normalisation, scene: NDArray[np.float64]) -> NDArray[np.int_]:

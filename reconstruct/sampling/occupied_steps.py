@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Float, Int, PRNGKeyArray
 from numpy.typing import NDArray
 
 from koala3d.datasets.scene import View
@@ -14,13 +14,11 @@ from koala3d.reconstruct.config import Config
 from koala3d.reconstruct.field.cloud import Cloud
 from koala3d.reconstruct.field.field import Field
 from koala3d.reconstruct.numerics.compiling import barrier
-from koala3d.reconstruct.sampling import compiled as kernels
-from koala3d.reconstruct.sampling import focus
+from koala3d.reconstruct.sampling import compiled, focus, plain
 from koala3d.reconstruct.sampling.hull import cells_in_masks, cells_in_sight
 from koala3d.reconstruct.sampling.occupancy import Occupancy
-from koala3d.reconstruct.sampling.packing import draw, draw_probability, expected_depth, packed_samples
 from koala3d.reconstruct.sampling.sampler import Batch, Sampled, Sampler
-from koala3d.reconstruct.sampling.samples import Footprint, RaySamples, cloud_of
+from koala3d.reconstruct.sampling.samples import Footprint, RaySamples, Rows, cloud_of
 from koala3d.reconstruct.sampling.steps import Steps
 from koala3d.reconstruct.scene.facts import SceneFacts
 from koala3d.reconstruct.scene.frustum import Frustum
@@ -66,8 +64,9 @@ class OccupiedSteps(Sampler):
         """With a full grid, less what is not `possible`."""
         sampler, normalisation = config.sampler, facts.normalisation
         space = normalisation.space
-        prefers = facts.box_is_stated and facts.half_box is not None and not space.single_grid
-        focused = focus.Focus(facts.half_box) if prefers else None
+        focused = None
+        if facts.box_is_stated and facts.half_box is not None and not space.single_grid:
+            focused = focus.Focus(facts.half_box)
         return cls(
             grid=Occupancy.create(
                 config.train.seed,
@@ -119,16 +118,6 @@ class OccupiedSteps(Sampler):
         """Rays drawn, rays kept, samples."""
         return self.rays_drawn, self.rays_kept, self.capacity
 
-    def steps_of(self, rays: Rays) -> Steps:
-        """How rays are cut into steps."""
-        return Steps.of(rays, steps=self.steps, space=self.space, near=self.near, far=self.far)
-
-    def expected_depth(self, rays: Rays, jitter: Float[Array, " rays"]) -> Float[Array, "rays steps"]:
-        """Optical depth that the grid expects in the steps of rays."""
-        if kernels.usable(rays):
-            return kernels.expected_depth(self.grid, rays, self.steps_of(rays), jitter, self.space)[0]
-        return expected_depth(self.grid, rays, self.steps_of(rays), jitter, self.space)
-
     def pixels(self, pixels: Pixels, key: PRNGKeyArray) -> Int[Array, " drawn"]:
         """Random ones; among surroundings rather those that show the object."""
         total = pixels.total
@@ -143,70 +132,27 @@ class OccupiedSteps(Sampler):
     def batch(self, rays: Rays, colour: Float[Array, "rays 4"], key: PRNGKeyArray) -> Batch:
         """Rays that meet something, with their samples."""
         jitter, offset = barrier(jax.random.uniform(key, (2, self.rays_drawn)))
-        if kernels.usable(rays):
-            return self._compiled_batch(rays, colour, jitter, offset)
-        depth = barrier(self.expected_depth(rays, jitter))
-        hit = jnp.any(depth > 0, -1)
+        rows = self._rows(rays, jitter, offset)
+        order, used, samples = _way(rays).pack(rows, rays=self.rays_kept, capacity=self.capacity)
         if self.rays_kept < self.rays_drawn:  # empty rays have nothing to learn from
-            (order,) = jnp.nonzero(hit, size=self.rays_kept, fill_value=0)
-            depth = jnp.where((jnp.arange(self.rays_kept) < jnp.sum(hit))[:, None], depth[order], 0)
-            chosen = jax.tree.map(lambda a: a[order], (rays, colour, jitter, offset))
-            rays, colour, jitter, offset, depth = barrier((*chosen, depth))
-            hit = jnp.any(depth > 0, -1)
-        samples, fits = self.packed(depth, rays, jitter, offset, self.capacity)
-        return Batch(rays, colour, fits & hit, samples)
-
-    def _compiled_batch(
-        self, rays: Rays, colour: Float[Array, "rays 4"], jitter: Float[Array, " rays"], offset: Float[Array, " rays"]
-    ) -> Batch:
-        """`batch` by compiled kernels, which read the rows of rays that meet something where they are."""
-        depth, used = kernels.expected_depth(self.grid, rays, self.steps_of(rays), jitter, self.space)
-        order, chosen = jnp.arange(self.rays_drawn), jnp.asarray(self.rays_drawn)
-        if self.rays_kept < self.rays_drawn:  # empty rays have nothing to learn from
-            chosen = jnp.sum(used)
-            (order,) = jnp.nonzero(used, size=self.rays_kept, fill_value=0)
-            rays, colour, jitter, offset = jax.tree.map(lambda a: a[order], (rays, colour, jitter, offset))
-            used = jnp.arange(self.rays_kept) < chosen
-        size = {"capacity": self.capacity, "max_per_ray": self.max_per_ray}
-        samples, fits = kernels.packed_samples(depth, order, chosen, self.steps_of(rays), jitter, offset, **size)
-        return Batch(rays, colour, fits & used, samples)
-
-    def packed(
-        self,
-        depth: Float[Array, "rays steps"],
-        rays: Rays,
-        jitter: Float[Array, " rays"],
-        offset: Float[Array, " rays"],
-        capacity: int,
-    ) -> tuple[RaySamples, Bool[Array, " rays"]]:
-        """Samples of rays whose steps' expected optical depth is known, and which rays found room."""
-        if kernels.usable(rays):
-            order, chosen = jnp.arange(depth.shape[0]), jnp.asarray(depth.shape[0])
-            size = {"capacity": capacity, "max_per_ray": self.max_per_ray}
-            return kernels.packed_samples(depth, order, chosen, self.steps_of(rays), jitter, offset, **size)
-        probability = barrier(draw_probability(depth, self.max_per_ray - 1))
-        words = barrier(draw(probability, offset))
-        steps = self.steps_of(rays)
-        return packed_samples(words, probability, steps, jitter, capacity=capacity, max_per_ray=self.max_per_ray)
+            rays, colour = jax.tree.map(lambda a: a[order], (rays, colour))
+        return Batch(rays, colour, used, samples)
 
     def sampled(self, batch: Batch, key: PRNGKeyArray) -> Sampled:
         """Those that the batch was made with."""
         assert batch.samples is not None  # `batch` has put them there
         return Sampled(batch.samples, Footprint(), batch.used)
 
-    def look(self, rays: Rays) -> Sampled:
+    def unjittered(self, rays: Rays) -> Sampled:
         """Samples in the middle of their steps, with room for all."""
-        count = rays.origins.shape[0]
-        every, footprint = jnp.ones(count, bool), Footprint()
-        if kernels.usable(rays):
-            steps, most = self.steps_of(rays), self.max_per_ray
-            return Sampled(kernels.shown_samples(self.grid, rays, steps, self.space, max_per_ray=most), footprint, every)
-        middle = jnp.full(count, 0.5)
-        depth = barrier(self.expected_depth(rays, middle))
-        packed, _ = self.packed(depth, rays, middle, middle, count * self.max_per_ray)
-        found = jnp.sum(packed.padded(jnp.ones_like(packed.t)), -1).astype(jnp.int32)
-        samples = RaySamples.in_rows(packed.padded(packed.t), packed.padded(packed.length), found)
-        return Sampled(barrier(samples), footprint, every)
+        middle = jnp.full(rays.origins.shape[0], 0.5)
+        samples = RaySamples.in_rows(*self._rows(rays, middle, middle))
+        return Sampled(samples, Footprint(), jnp.ones(middle.shape, bool))
+
+    def _rows(self, rays: Rays, jitter: Float[Array, " rays"], offset: Float[Array, " rays"]) -> Rows:
+        """Samples of rays, before they are packed."""
+        steps = Steps.of(rays, steps=self.steps, space=self.space, near=self.near, far=self.far)
+        return barrier(_way(rays).sample(self.grid, rays, steps, jitter, offset, self.space, max_per_ray=self.max_per_ray))
 
     def met(self, batch: Batch, density: Float[Array, " n"]) -> Met:
         """Cells that samples lie in, and the densities found there."""
@@ -242,3 +188,8 @@ class OccupiedSteps(Sampler):
             points = jnp.stack(jnp.meshgrid(*(jnp.asarray(axis, jnp.float32) for axis in axes), indexing="ij"))
             return cells.reshape(-1)[np.asarray(self.grid.cell(*self.space.mapped_coordinates(*points)))]
         return cells[np.ix_(*(np.clip(((axis + 1) * size / 2).astype(int), 0, size - 1) for axis in axes))]
+
+
+def _way(rays: Rays) -> Any:
+    """Compiled kernels if they are for these rays, else plain JAX; both have `sample` and `pack`."""
+    return compiled if compiled.usable(rays) else plain

@@ -98,7 +98,7 @@ class ProposedIntervals(Sampler):
         """Samples jittered once per ray and level."""
         return self._sampled(batch.rays, key)
 
-    def look(self, rays: Rays) -> Sampled:
+    def unjittered(self, rays: Rays) -> Sampled:
         """Samples in the middle of their strata."""
         found = self._sampled(rays, None)
         return Sampled(barrier(found.samples), found.footprint, found.fits)

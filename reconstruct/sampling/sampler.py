@@ -47,7 +47,7 @@ class Sampler(eqx.Module):
     """Where along a ray a field is evaluated. Part of a model: what it has learned, and what it keeps up to date.
 
     `batch` and `sampled` are two steps of training: the first chooses rays, and samples where these are data; the second is
-    differentiated. `look` serves pictures and leaves nothing to chance.
+    differentiated. `unjittered` serves pictures and leaves nothing to chance.
     """
 
     space: eqx.AbstractVar[Space]
@@ -109,7 +109,7 @@ class Sampler(eqx.Module):
         """Samples of a batch; differentiable to what the sampler learns."""
 
     @abstractmethod
-    def look(self, rays: Rays) -> Sampled:
+    def unjittered(self, rays: Rays) -> Sampled:
         """Samples of rays for a picture, in rows (`RaySamples.in_rows`): nothing is left to chance."""
 
     @property

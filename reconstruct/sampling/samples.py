@@ -1,5 +1,7 @@
 """Samples of many rays in one flat list, whatever chose them, and which part of its conical frustum each stands for."""
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -7,6 +9,14 @@ from jaxtyping import Array, Bool, Float, Int
 from koala3d.reconstruct.field.cloud import Cloud, gaussians_in_frustums, hexagons_in_frustums, points_on_rays
 from koala3d.reconstruct.scene.rays import Rays
 from koala3d.reconstruct.scene.space import Space
+
+
+class Rows(NamedTuple):
+    """Samples of each ray, first in its row: t and length as in `RaySamples`, 1 and 0 in the slots that are not filled."""
+
+    t: Float[Array, "rays slots"]
+    length: Float[Array, "rays slots"]
+    filled: Int[Array, " rays"]
 
 
 class RaySamples(eqx.Module):

@@ -2,7 +2,7 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from koala3d.reconstruct.scene.frustum import Frustum
 from koala3d.reconstruct.scene.rays import Rays
@@ -49,14 +49,9 @@ class Steps(eqx.Module):
         """Steps per ray."""
         return self.front + self.inside + self.behind
 
-    def at(self, u: Float[Array, "n ..."], ray: Int[Array, "..."] | None = None) -> Float[Array, "n ..."]:
-        """t at step coordinate u; one row of u per ray, or with `ray` one entry of u per given ray."""
-        if ray is None:
-            near, enter, leave, far = (v[:, None] for v in (self.near, self.enter, self.leave, self.far))
-        else:
-            near, enter, leave, far = (
-                v.at[ray].get(mode="promise_in_bounds") for v in (self.near, self.enter, self.leave, self.far)
-            )
+    def at(self, u: Float[Array, "n k"]) -> Float[Array, "n k"]:
+        """t at step coordinates u, a row for each ray."""
+        near, enter, leave, far = (v[:, None] for v in (self.near, self.enter, self.leave, self.far))
         within = enter + (leave - enter) * ((u - self.front) / self.inside) if self.inside else enter
         if not self.behind:
             return within

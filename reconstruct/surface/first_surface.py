@@ -10,7 +10,7 @@ from koala3d.reconstruct.sampling.samples import RaySamples
 
 HALF_WIDTH = float(np.sqrt(2 * np.log(2)))
 """Half-width at half-maximum of a Gaussian, in standard deviations."""
-CONFIDENT = 0.5
+LEAST_OPACITY = 0.5
 """Opacity above which a ray has a surface."""
 SHARE = 0.5
 """Of the largest weight, for the rule "share"."""
@@ -105,9 +105,9 @@ def find_surfaces(
         rule: see `first_surface`.
     """
     weights = jax.lax.stop_gradient(weights)
-    opaque = jnp.sum(weights, -1) > CONFIDENT
-    (ray,) = jnp.nonzero(opaque, size=count, fill_value=0)
-    real = jnp.arange(count) < jnp.sum(opaque)
+    has_surface = jnp.sum(weights, -1) > LEAST_OPACITY
+    (ray,) = jnp.nonzero(has_surface, size=count, fill_value=0)
+    real = jnp.arange(count) < jnp.sum(has_surface)
     t, length = samples.padded(samples.t)[ray], samples.padded(samples.length)[ray]
     rows = weights[ray]
     slot = first_surface(rows, length > 0, rule)[:, None]

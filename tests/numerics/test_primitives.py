@@ -24,7 +24,7 @@ from koala3d.reconstruct.numerics import stepfun
 from koala3d.reconstruct.numerics.lattice_constants import LIFT
 from koala3d.reconstruct.numerics.safe import linear_from_srgb, normalise, safe_exp, safe_norm, srgb_from_linear
 from koala3d.reconstruct.numerics.volume import volume_weights
-from koala3d.reconstruct.sampling.packing import draw_probability
+from koala3d.reconstruct.sampling.drawing import draw_probability
 from koala3d.reconstruct.sampling.steps import Steps
 from koala3d.reconstruct.scene.contraction import contract, contraction_scale, pull_back
 from koala3d.reconstruct.scene.rays import Rays

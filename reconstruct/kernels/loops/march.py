@@ -1,9 +1,8 @@
-"""What the occupancy grid expects along rays, as a compiled loop; see `reconstruct.sampling.packing.expected_depth`.
+"""What the occupancy grid expects along a ray, as a compiled loop; see `reconstruct.sampling.drawing.expected_depth`.
 
-Arrays of a call: origins (n, 3), directions (n, 3), cuts (4, n), jitter (n,), depths of the cells in half precision (cells,),
-choices (6,): steps in front, inside and behind, cells along an edge of the inner and of the outer grid, and the map: AS_IS,
-CONTRACTED outside the unit ball, or STRAIGHTENED; numbers (17,) of a frustum: rotation, row by row, origin, across, deep, slope,
-1 / far and the smallest w. Results: depth (n, steps) and hit (n,), whether any of a ray's is not zero.
+Vocabulary, beside that of `along`: grid, (cells,): depths of the cells in half precision; choices, (6,): steps in front, inside
+and behind, cells along an edge of the inner and of the outer grid, and the map: AS_IS, CONTRACTED outside the unit ball, or
+STRAIGHTENED; numbers, (17,), of a frustum: rotation, row by row, origin, across, deep, slope, 1 / far and the smallest w.
 """
 
 from math import sqrt
@@ -11,12 +10,8 @@ from math import sqrt
 import numpy as np
 
 from koala3d.reconstruct.kernels.loops.along import fma, from_half
-from koala3d.reconstruct.kernels.loops.chunks import address_of, in_chunks_of
-from koala3d.reconstruct.kernels.loops.compiler import compiled, compiled_exactly, handler
-from koala3d.reconstruct.kernels.loops.frame import argument, argument_size, executes, result
+from koala3d.reconstruct.kernels.loops.compiler import compiled_exactly
 
-RAYS = 64
-"""Of a chunk."""
 AS_IS, CONTRACTED, STRAIGHTENED = 0, 1, 2
 """Maps: those of `Box`, `Ball` and `Frustum`."""
 f4, i4 = np.float32, np.int32
@@ -121,29 +116,3 @@ def march_ray(ray, origins, directions, cuts, jitter, grid, choices, numbers, t,
             any_depth |= i4(found)
             there[i] = from_half(found)
     return any_depth != 0
-
-
-@compiled
-def _march_rays(frame, chunk):
-    """The rays of a chunk."""
-    count, num_cells = argument_size(frame, 0, 0), argument_size(frame, 4, 0)
-    origins, directions = argument(frame, 0, (count, 3), np.float32), argument(frame, 1, (count, 3), np.float32)
-    cuts, jitter = argument(frame, 2, (4, count), np.float32), argument(frame, 3, (count,), np.float32)
-    grid, choices = argument(frame, 4, (num_cells,), np.uint16), argument(frame, 5, (6,), np.int32)
-    numbers = argument(frame, 6, (17,), np.float32)
-    steps = choices[0] + choices[1] + choices[2]
-    depth, hit = result(frame, 0, (count, steps), np.float32), result(frame, 1, (count,), np.uint8)
-    t, points, cells = np.empty(steps, f4), np.empty((3, steps), f4), np.empty(steps, i4)
-    for ray in range(chunk * RAYS, min((chunk + 1) * RAYS, count)):
-        hit[ray] = march_ray(ray, origins, directions, cuts, jitter[ray], grid, choices, numbers, t, points, cells, depth[ray])
-
-
-_address_of_march = address_of(_march_rays, 2)
-
-
-@handler
-def march(frame):
-    """Depths of all rays."""
-    if executes(frame):
-        in_chunks_of(frame, _address_of_march(), argument_size(frame, 0, 0), RAYS)
-    return 0

@@ -37,3 +37,18 @@ def some_rays() -> Callable[..., Rays]:
 @pytest.fixture
 def steps_of() -> Callable[..., Steps]:
     return _steps_of
+
+
+def _some_depths(count: int, steps: int) -> np.ndarray:
+    """(count, steps) Optical depths with everything: fog, a thin film before a wall, one step alone, nothing."""
+    rng = np.random.default_rng(3)
+    depth = rng.choice([0, 0.01, 0.3, 1.0], (count, steps), p=[0.7, 0.2, 0.07, 0.03])
+    depth[0], depth[1], depth[2] = 0, 0.02, 0
+    depth[2, steps // 2] = 0.5
+    depth[3], depth[3, steps // 8], depth[3, steps // 3 :] = 0, 0.1, 1
+    return depth.astype(np.float32)
+
+
+@pytest.fixture
+def some_depths() -> Callable[[int, int], np.ndarray]:
+    return _some_depths

@@ -32,12 +32,3 @@ def test_steps_ascend_and_cover_what_they_promise(bounded: bool, some_rays, step
             + np.stack([steps.enter, steps.leave], -1)[..., None] * np.asarray(rays.directions)[:, None]
         )
         np.testing.assert_allclose(np.linalg.norm(ends[hits], axis=-1), 1, atol=1e-5)
-
-
-@pytest.mark.parametrize("bounded", [True, False])
-def test_steps_of_single_entries_equal_those_of_rows(bounded: bool, some_rays, steps_of) -> None:
-    rays = some_rays(16)
-    steps = steps_of(rays, bounded)
-    u = np.tile(np.linspace(0, steps.count, 33, dtype=np.float32), (16, 1))
-    entries = AT(steps, u.reshape(-1), np.repeat(np.arange(16, dtype=np.int32), 33))
-    np.testing.assert_allclose(np.asarray(entries).reshape(16, 33), AT(steps, u), rtol=1e-6)
