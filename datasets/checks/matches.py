@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from koala3d.datasets import pose
 from koala3d.datasets.checks import blur, box, exposure, intrinsics, light, masks, motion, single_poses
 from koala3d.datasets.checks.evidence import VIEWS, Evidence
-from koala3d.datasets.conventions import OPENCV_FROM_LLFF, OPENCV_FROM_OPENGL
+from koala3d.datasets.conventions import OPENCV_FROM_LLFF, OPENCV_FROM_MITSUBA, OPENCV_FROM_OPENGL
 from koala3d.datasets.core.errors import KoalaError
 from koala3d.datasets.core.findings import Finding
 from koala3d.datasets.scene import Scene
@@ -32,6 +32,7 @@ CONVENTIONS: dict[str, Callable[[NDArray[np.float64]], NDArray[np.float64]]] = {
     "camera_from_world with OpenGL axes taken for world_from_camera": lambda m: pose.inverse(OPENCV_FROM_OPENGL @ m),
     "LLFF's axes (down, right, back) taken for OpenCV's": lambda m: m @ OPENCV_FROM_LLFF,
     "LLFF's axes taken for OpenGL's": lambda m: m @ OPENCV_FROM_OPENGL @ OPENCV_FROM_LLFF,
+    "Mitsuba's axes (left, up, forward) taken for OpenGL's": lambda m: m @ OPENCV_FROM_OPENGL @ OPENCV_FROM_MITSUBA,
     "rotations transposed": lambda m: pose.rigid(np.swapaxes(m[..., :3, :3], -1, -2), m[..., :3, 3]),
 }
 """Common mistakes, and the correction of each."""

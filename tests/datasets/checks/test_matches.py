@@ -8,7 +8,7 @@ import pytest
 
 from koala3d.datasets import pose
 from koala3d.datasets.checks.matches import CONVENTIONS, check_matches
-from koala3d.datasets.conventions import OPENCV_FROM_LLFF, OPENCV_FROM_OPENGL
+from koala3d.datasets.conventions import OPENCV_FROM_LLFF, OPENCV_FROM_MITSUBA, OPENCV_FROM_OPENGL
 from koala3d.datasets.imaging import images
 from koala3d.datasets.scene import Scene
 
@@ -18,6 +18,7 @@ MISTAKES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "camera_from_world with OpenGL axes taken for world_from_camera": lambda m: OPENCV_FROM_OPENGL @ pose.inverse(m),
     "LLFF's axes (down, right, back) taken for OpenCV's": lambda m: m @ OPENCV_FROM_LLFF,
     "LLFF's axes taken for OpenGL's": lambda m: m @ OPENCV_FROM_LLFF @ OPENCV_FROM_OPENGL,
+    "Mitsuba's axes (left, up, forward) taken for OpenGL's": lambda m: m @ OPENCV_FROM_MITSUBA @ OPENCV_FROM_OPENGL,
     "rotations transposed": lambda m: pose.rigid(m[:3, :3].T, m[:3, 3]),
 }
 
