@@ -17,7 +17,7 @@ from koala3d.datasets.formats.finding import masks
 from koala3d.datasets.imaging import images
 from koala3d.datasets.scene import SAME_SHAPE, Scene, View, checked_name
 from koala3d.datasets.structure import bounds
-from koala3d.datasets.structure.outlined import outlined
+from koala3d.datasets.structure.masks.outlined import outlined
 
 SHORTEST, LONGEST = 1e-3, 1e6
 """Range of plausible focal lengths, in image widths."""

@@ -77,6 +77,20 @@ def read_stored(path: Path, width: int, height: int) -> NDArray[Any]:
     return np.ascontiguousarray(images.upright(np.asarray(pixels), orientation))
 
 
+def averaged(stored: NDArray[Any], width: int, height: int) -> NDArray[np.float32]:
+    """(height, width, channels) of what `images.read_stored` gives, scaled to 0..1 and averaged as it is: masks and alphas.
+
+    Integers are averaged to integers, whose rounding is all that is lost.
+    """
+    shrinks = width <= stored.shape[1] and height <= stored.shape[0] and stored.shape[-1] <= 4
+    if stored.dtype == np.float32 or not shrinks:
+        return images.resize(images.as_float(stored), width, height, srgb=False)
+    import cv2
+
+    small = cv2.resize(stored, (width, height), interpolation=cv2.INTER_AREA)
+    return images.as_float(np.asarray(small).reshape(height, width, -1))
+
+
 def _is_whole_jpeg(path: Path) -> bool:
     with open(path, "rb") as file:
         start = file.read(len(JPEG))

@@ -19,13 +19,15 @@ from koala3d.datasets.core.errors import KoalaError
 from koala3d.datasets.imaging import images
 from koala3d.datasets.scene import View
 from koala3d.datasets.splits import evenly
-from koala3d.datasets.structure import bounds, polarity
-from koala3d.datasets.structure.hull import visual_hull
+from koala3d.datasets.structure import bounds
+from koala3d.datasets.structure.masks import polarity
+from koala3d.datasets.structure.masks.hull import visual_hull
+from koala3d.datasets.structure.masks.silhouette import silhouettes
 
-VERSION = 1
+VERSION = 2
 """Raised when the same masks give another answer: older ones are then not used."""
 LOOKED_AT = 5
-"""Views of which one must have empty pixels, evenly spread."""
+"""Views of which one must have a mask or an alpha, evenly spread."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,13 +48,12 @@ class Outlined:
 
 def outlined(views: Sequence[View]) -> Outlined:
     """What masks or alphas say; computed once for the same files. Raises DatasetError where one of them is damaged."""
-    looked_at = evenly(views, LOOKED_AT)
-    if all(view.mask is None for view in views) and not any(images.channels(view.image) in (2, 4) for view in looked_at):
+    if not any(view.mask or images.channels(view.image) in (2, 4) for view in evenly(views, LOOKED_AT)):
         return Outlined()
     path = _place(views)
     if path is not None and (kept := _kept(path)):
         return kept
-    found = _computed(views, looked_at)
+    found = _computed(views)
     if path is not None:
         with suppress(OSError):  # the cache saves time, no more
             files.make_folder(path.parent)
@@ -60,22 +61,16 @@ def outlined(views: Sequence[View]) -> Outlined:
     return found
 
 
-def _computed(views: Sequence[View], looked_at: Sequence[View]) -> Outlined:
-    why = polarity.inverted(views) if all(view.mask is not None for view in views) else ""
-    if why:
-        views, looked_at = ([replace(view, mask_inverted=True) for view in some] for some in (views, looked_at))
-    if not any(map(_has_empty_pixels, looked_at)):
-        return Outlined(why)
+def _computed(views: Sequence[View]) -> Outlined:
     train = [view for view in views if view.split == "train"] or views
-    hull = visual_hull(train, bounds.visible_box(train))
+    box, found = bounds.visible_box(train), silhouettes(train)
+    why = polarity.inverted(found, box) if all(view.mask for view in views) else ""
+    if why:
+        found = silhouettes([replace(view, mask_inverted=True) for view in train])
+    if all(one.inside.all() for one in found):  # an opaque alpha does not count
+        return Outlined(why)
+    hull = visual_hull(found, box)
     return Outlined(why, hull.box, *hull.depth_range(views), hull.views_used)
-
-
-def _has_empty_pixels(view: View) -> bool:
-    """True where a mask or an alpha marks pixels as empty; an opaque alpha does not count."""
-    if view.mask is None and images.channels(view.image) not in (2, 4):
-        return False
-    return float((view.read_image() if view.mask is None else view.read_mask())[..., -1].min()) < 0.5
 
 
 def _place(views: Sequence[View]) -> Path | None:
