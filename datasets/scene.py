@@ -83,8 +83,7 @@ class View:
         """
         picture = self.read_image()
         self._require_channels(picture.shape[-1])
-        if picture.shape[-1] < 3:
-            picture = np.concatenate([picture[..., :1]] * 3 + [picture[..., 1:]], axis=-1)
+        picture = reduced.in_colour(picture)
         if self.image.suffix.lower() == ".exr":
             light = picture[..., :3] if self.white is None else np.minimum(picture[..., :3] / self.white, 1)
             picture = np.concatenate([images.srgb_from_linear(light), picture[..., 3:]], axis=-1)
@@ -112,6 +111,20 @@ class View:
             raise DatasetError("image holds values that are not finite", where=self.image, remedy="write it again")
         return picture if picture.shape[:2] == (height, width) else images.resize(picture, width, height)
 
+    def read_small(self, side: int) -> NDArray[np.float32]:
+        """(height, width, 3 or 4) as `read`, at most `side` pixels a side: values averaged as they are, also where alpha is zero.
+
+        Much faster than `read` and a resize, in less memory. Raises as `read` does.
+        """
+        small = self.camera.within(side)
+        if images.steps(self.image) == 1:
+            return reduced.averaged(self.read(), small.width, small.height)
+        self._require_channels(images.channels(self.image))
+        self._require_size(*images.size(self.image), self.image)
+        stored = reduced.read_stored(self.image, small.width, small.height)
+        picture = reduced.in_colour(reduced.averaged(stored, small.width, small.height))
+        return picture if self.mask is None else np.dstack([picture[..., :3], self.read_cover(small.width, small.height)])
+
     def read_deviation(self) -> NDArray[np.float32]:
         """(height, width, channels) standard deviation of the image's linear light.
 
@@ -130,6 +143,13 @@ class View:
         picture = images.read(self.image)
         self._check_size(picture, self.image)
         return picture
+
+    def read_stored(self) -> NDArray[Any]:
+        """`read_image` as the integers of its file, for `images.as_float`, or as float32."""
+        stored = images.read_stored(self.image)
+        self._check_size(stored, self.image)
+        self._require_channels(stored.shape[-1])
+        return stored
 
     def read_mask(self) -> NDArray[np.float32]:
         """(height, width, 1) of the mask at the size of the image: 1 on the object, 0 where it is not.

@@ -37,7 +37,7 @@ def read_resized(image: Path, alpha: NDArray[Any] | None, width: int, height: in
         DatasetError: a file is damaged or too large.
     """
     resized = images.size(image) != (width, height)
-    picture = _in_colour(read_stored(image, width, height) if resized else images.read_stored(image))
+    picture = in_colour(read_stored(image, width, height) if resized else images.read_stored(image))
     if resized:
         return _averaged(picture, alpha, width, height)
     if alpha is not None:
@@ -98,7 +98,7 @@ def _is_whole_jpeg(path: Path) -> bool:
         return start == JPEG and file.read() == END_OF_JPEG
 
 
-def _in_colour(picture: NDArray[Any]) -> NDArray[Any]:
+def in_colour(picture: NDArray[Any]) -> NDArray[Any]:
     """Grey as three equal channels; an alpha is kept."""
     if picture.shape[-1] >= 3:
         return picture
