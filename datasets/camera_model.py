@@ -83,6 +83,11 @@ class Camera:
         sx, sy = width / self.width, height / self.height
         return replace(self, width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy)
 
+    def within(self, side: int) -> Self:
+        """The camera of the same image shrunk until no side is longer than `side` [px]; of small images, the same."""
+        scale = min(1.0, side / max(self.width, self.height))
+        return self.scaled(max(round(scale * self.width), 1), max(round(scale * self.height), 1))
+
     def undistorted(self) -> "Camera":
         """The pinhole with the same size, focal lengths and centre."""
         return Camera(self.width, self.height, self.fx, self.fy, self.cx, self.cy)

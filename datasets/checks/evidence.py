@@ -7,6 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koala3d.datasets.core.console import progress
+from koala3d.datasets.imaging.downscale import streamed
+from koala3d.datasets.imaging.reduced import READERS
 from koala3d.datasets.scene import Scene, View
 from koala3d.datasets.splits import evenly
 from koala3d.datasets.structure import bounds, matching
@@ -39,9 +41,9 @@ class Evidence:
         matrices = np.stack([view.world_from_camera for view in views])
         pictures, features = [], []
         with progress("matching pictures", len(views), "images") as shown:
-            for view in views:
-                pictures.append(matching.shrunk(view.read()))
-                features.append(matching.detect_in(pictures[-1], view))
+            for picture, found in streamed(_searched, views, workers=READERS):
+                pictures.append(picture)
+                features.append(found)
                 shown.advance()
         pairs = matching.pairs_of(matrices, bounds.middle(matrices, scene.box))
         return cls(scene, views, tuple(pictures), matching.joined(views, features, pairs), matrices)
@@ -80,3 +82,9 @@ class Evidence:
             for ray, one in zip(directions, self.matches.features, strict=True)
         ]
         return replace(self, matches=Matches(self.matches.views, tuple(features), self.matches.pairs), matrices=matrices)
+
+
+def _searched(view: View) -> tuple[NDArray[np.float32], ViewFeatures]:
+    """A view's small picture and its features."""
+    picture = view.read_small(matching.SIDE)
+    return picture, matching.detect_in(picture, view)

@@ -9,13 +9,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.checks.evidence import OUTSTANDING, Evidence
 from koala3d.datasets.core.findings import Finding
+from koala3d.datasets.structure import bounds
+from koala3d.datasets.structure.masks.silhouette import PIXELS_APART, Sight, Silhouette, distance_to
+from koala3d.datasets.structure.masks.votes import BLOCK, carved
 
-CELLS = 72
-"""Cells of the grid along the box's longest side; those that stay, and their neighbours, are halved once."""
+CELLS = 144
+"""Cells of the grid along the box's longest side."""
 VETOES = 0.13
-"""Share of the views that may contradict a cell which stays."""
+"""Share of the views that rule a cell out. They vote on its centre, not on all of it:
+a safe bound would be a blunt outline."""
 RARE = 3.91 / 1.177
 """Median lengths of a shift, which has two directions, from which it is as rare as `OUTSTANDING` deviations of one figure."""
 LEAST_PX, LEAST_CELLS = 2.5, 1.1
@@ -83,44 +88,21 @@ def _outstanding(size: NDArray[np.float64], least: NDArray[np.float64], medians:
 
 def hull(evidence: Evidence) -> tuple[NDArray[np.float64], float]:
     """(n, 3) centres of the cells that nearly all masks allow, and half a cell's side."""
-    from scipy.ndimage import binary_dilation
-
     low, high = evidence.scene.box
     margin = 0.05 * (high - low).max()
     low, high = low - margin, high + margin
     cell = float((high - low).max()) / CELLS
-    axes = [np.arange(a + cell / 2, b, cell) for a, b in zip(low, high, strict=True)]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-    kept = _upheld(evidence, grid.reshape(-1, 3)).reshape(grid.shape[:3])
-    halves = (np.indices((2, 2, 2)).reshape(3, -1).T - 0.5) * cell / 2
-    near = np.asarray(binary_dilation(kept, np.ones((3, 3, 3))), np.bool_)
-    fine = (grid[near][:, None] + halves).reshape(-1, 3)
-    return fine[_upheld(evidence, fine)], cell / 4
+    counts = BLOCK * np.ceil((high - low) / (BLOCK * cell)).astype(int)
+    box = np.stack([low, low + cell * counts])
+    silhouettes = [Silhouette(*_camera(evidence, view), picture[..., 3] > 0.5) for view, picture in enumerate(evidence.pictures)]
+    kept = carved(silhouettes, box, counts, seen_by=max(3, len(silhouettes) // 3), share=VETOES, centres=True)
+    return bounds.grid(box, counts)[kept], cell / 2
 
 
-def _upheld(evidence: Evidence, centres: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """(n,) True for centres of cells that enough views see and that nearly all of their masks allow."""
-    points = centres.astype(np.float32)
-    seen, vetoes = np.zeros(len(points), np.int16), np.zeros(len(points), np.int16)
-    for view, picture in enumerate(evidence.pictures):
-        row, column, inside = placed(evidence, view, points)
-        seen += inside
-        vetoes += inside & (picture[row, column, 3] <= 0.5)
-    return (seen >= max(3, len(evidence.views) // 3)) & (vetoes <= np.maximum(1, np.floor(VETOES * seen)))
-
-
-def placed(evidence: Evidence, view: int, points: NDArray) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
-    """Row and column of (n, 3) points in a view's small picture, and whether they are in it; distortion is ignored."""
+def _camera(evidence: Evidence, view: int) -> tuple[Camera, NDArray[np.float64]]:
+    """Camera of a view's small picture, and its pose."""
     height, width = evidence.pictures[view].shape[:2]
-    camera = evidence.views[view].camera.scaled(width, height)
-    matrix = evidence.matrices[view].astype(points.dtype)
-    local = (points - matrix[:3, 3]) @ matrix[:3, :3]
-    front = local[:, 2] > 1e-6
-    depth = np.where(front, local[:, 2], 1.0)
-    column = np.floor(camera.fx * local[:, 0] / depth + camera.cx)
-    row = np.floor(camera.fy * local[:, 1] / depth + camera.cy)
-    inside = front & (column >= 0) & (column < width) & (row >= 0) & (row < height)
-    return np.where(inside, row, 0).astype(np.int64), np.where(inside, column, 0).astype(np.int64), inside
+    return evidence.views[view].camera.scaled(width, height), evidence.matrices[view]
 
 
 def cut(mask: NDArray) -> bool:
@@ -133,20 +115,13 @@ def outline(evidence: Evidence, view: int, cells: NDArray[np.float64], radius: f
     import cv2
 
     mask = np.ascontiguousarray(evidence.pictures[view][..., 3] > 0.5).astype(np.uint8)
-    silhouette = np.zeros_like(mask)
-    row, column, inside = placed(evidence, view, cells)
-    silhouette[row[inside], column[inside]] = 1
-    depth = np.median((cells - evidence.matrices[view, :3, 3]) @ evidence.matrices[view, :3, 2])
-    camera = evidence.views[view].camera
-    radius_px = float(radius / max(depth, 1e-9) * camera.fx * mask.shape[1] / camera.width)
-    reach = int(np.ceil(radius_px)) + 1
-    silhouette = cv2.morphologyEx(silhouette, cv2.MORPH_CLOSE, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8))
+    silhouette, reach = Sight(*_camera(evidence, view)).covered(cells, radius)
     edge = cv2.morphologyEx(mask, cv2.MORPH_GRADIENT, np.ones((2, 2), np.uint8)).astype(bool)
     edge[:MARGIN] = edge[-MARGIN:] = edge[:, :MARGIN] = edge[:, -MARGIN:] = False
     rows, columns = np.nonzero(edge)
     if len(rows) < FEWEST or cut(mask) or not silhouette.any() or silhouette.all():
         return None
-    within = cv2.distanceTransform(silhouette, cv2.DIST_L2, 5) - cv2.distanceTransform(1 - silhouette, cv2.DIST_L2, 5)
+    within = distance_to(~silhouette) - distance_to(silhouette) - reach
     soft = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 3)
     outward = -np.stack([cv2.Sobel(soft, cv2.CV_32F, 1, 0), cv2.Sobel(soft, cv2.CV_32F, 0, 1)], axis=-1)[rows, columns]
     outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-6)
@@ -159,4 +134,4 @@ def outline(evidence: Evidence, view: int, cells: NDArray[np.float64], radius: f
         solution = np.linalg.solve(design.T @ weighted + 1e-6 * np.eye(3), weighted.T @ target)
         residual = target - design @ solution
         weight = np.where(residual > 0, EXCESS, 1 - EXCESS) / (1 + (residual / width) ** 2) ** 2
-    return Outline(float(solution[0]), (float(solution[1]), float(solution[2])), 2 * radius_px)
+    return Outline(float(solution[0]), (float(solution[1]), float(solution[2])), 2 * (reach - PIXELS_APART))

@@ -17,7 +17,7 @@ from koala3d.datasets.formats.finding import masks
 from koala3d.datasets.imaging import images
 from koala3d.datasets.scene import SAME_SHAPE, Scene, View, checked_name
 from koala3d.datasets.structure import bounds
-from koala3d.datasets.structure.outlined import outlined
+from koala3d.datasets.structure.masks.outlined import outlined
 
 SHORTEST, LONGEST = 1e-3, 1e6
 """Range of plausible focal lengths, in image widths."""
@@ -27,6 +27,7 @@ SAMPLED, LEAST_VALID = 4, 0.3
 """Pixels along each axis for each that is asked for its ray; share of pixels with a ray below which a view is of no use."""
 FEW = 0.25
 """Share of views without a mask up to which they are left out; of more, the masks are."""
+IGNORED = "masks are white at all edges of the pictures: what is black is ignored, and is not the background of an object"
 CAMERAS_ALONE = "cameras alone"
 """`Scene.bounds_from` where only the poses of the cameras are known."""
 
@@ -212,6 +213,9 @@ def scene(gathering: Gathering, views: tuple[View, ...], format: str, *, near_fa
     if found.inverted:
         gathering.notes.append(f"masks show the object in black: {found.inverted}")
         views = tuple(replace(view, mask_inverted=True) for view in views)
+    if found.ignored:
+        gathering.notes.append(IGNORED)
+        views = tuple(replace(view, mask=None, ignored=view.mask) for view in views)
     if found.box is not None:
         box, near, far = found.box, found.near, found.far
         if near_far is not None and max(near, near_far[0]) < min(far, near_far[1]):  # else they describe something else

@@ -120,7 +120,7 @@ def _kept(source: Path, folder: Path, stem: str) -> Path:
 def _redrawn(view: View, folder: Path, stem: str, pinhole: undistort.Pinhole | None, *, merged: bool) -> Path:
     """The image with its mask as alpha, or resampled, or both, at the bit depth of its file."""
     suffix = view.image.suffix.lower()
-    picture = view.read_stored_image()
+    picture = view.read_stored()
     if merged:
         mask = view.read_mask()
         same = {np.dtype(np.uint8): images.to_uint8, np.dtype(np.uint16): images.to_uint16}.get(picture.dtype, np.asarray)

@@ -37,7 +37,7 @@ def read_resized(image: Path, alpha: NDArray[Any] | None, width: int, height: in
         DatasetError: a file is damaged or too large.
     """
     resized = images.size(image) != (width, height)
-    picture = _in_colour(read_stored(image, width, height) if resized else images.read_stored(image))
+    picture = in_colour(read_stored(image, width, height) if resized else images.read_stored(image))
     if resized:
         return _averaged(picture, alpha, width, height)
     if alpha is not None:
@@ -76,6 +76,20 @@ def read_stored(path: Path, width: int, height: int) -> NDArray[Any]:
     return np.ascontiguousarray(images.in_srgb(np.asarray(pixels), spec, path))
 
 
+def averaged(stored: NDArray[Any], width: int, height: int) -> NDArray[np.float32]:
+    """(height, width, channels) of what `images.read_stored` gives, scaled to 0..1 and averaged as it is: masks and alphas.
+
+    Integers are averaged to integers, whose rounding is all that is lost.
+    """
+    shrinks = width <= stored.shape[1] and height <= stored.shape[0] and stored.shape[-1] <= 4
+    if stored.dtype == np.float32 or not shrinks:
+        return images.resize(images.as_float(stored), width, height, srgb=False)
+    import cv2
+
+    small = cv2.resize(stored, (width, height), interpolation=cv2.INTER_AREA)
+    return images.as_float(np.asarray(small).reshape(height, width, -1))
+
+
 def _is_whole_jpeg(path: Path) -> bool:
     with open(path, "rb") as file:
         start = file.read(len(JPEG))
@@ -83,7 +97,7 @@ def _is_whole_jpeg(path: Path) -> bool:
         return start == JPEG and file.read() == END_OF_JPEG
 
 
-def _in_colour(picture: NDArray[Any]) -> NDArray[Any]:
+def in_colour(picture: NDArray[Any]) -> NDArray[Any]:
     """Grey as three equal channels; an alpha is kept."""
     if picture.shape[-1] >= 3:
         return picture

@@ -21,6 +21,7 @@ from koala3d.datasets.scene import Scene, View
 from koala3d.datasets.segmentation.cut import Drawn, cut
 from koala3d.datasets.segmentation.space import Ball, Space
 from koala3d.datasets.segmentation.strokes import Stroke
+from koala3d.datasets.structure.masks.silhouette import Sight
 
 SIDE = 256
 """Longest side of the pictures that are cut [px]."""
@@ -60,12 +61,10 @@ class Grower:
             what, remedy = "no point that all cameras look at", "say where the object is: --ball X Y Z RADIUS"
             raise DatasetError(what, where=scene.name, why="their axes are parallel", remedy=remedy)
         self.scene, self.ball, self.views = scene, found, scene.views
-        sizes = [_small(view) for view in self.views]
-        cameras = [view.camera.scaled(width, height) for view, (height, width) in zip(self.views, sizes, strict=True)]
-        self.space = Space.about(found, self.views, cameras)
+        self.space = Space(found, tuple(Sight(view.camera.within(SIDE), view.world_from_camera) for view in self.views))
         self.pictures = []
-        for view, size in zip(self.views, sizes, strict=True):
-            self.pictures.append(_picture(view, size))
+        for view in self.views:
+            self.pictures.append(_picture(view))
             done()
 
     def grow(self, strokes: Sequence[Stroke] = (), *, done: Step = ignore) -> Grown:
@@ -114,7 +113,8 @@ class Grower:
         return np.where(ruled_out, 0, possible).astype(np.float32)
 
     def _drawn(self, view: View, strokes: Sequence[Stroke]) -> Drawn:
-        shape = _small(view)
+        small = view.camera.within(SIDE)
+        shape = small.height, small.width
         painted = {"object": np.zeros(shape, bool), "background": np.zeros(shape, bool)}
         for stroke in strokes:
             if stroke.view == view.name:
@@ -128,15 +128,9 @@ def enlarged(mask: NDArray[np.bool_], width: int, height: int) -> NDArray[np.uin
     return np.where(large > 0.5, 255, 0).astype(np.uint8)
 
 
-def _small(view: View) -> tuple[int, int]:
-    """(height, width) of a view's small picture."""
-    scale = min(1.0, SIDE / max(view.camera.width, view.camera.height))
-    return max(round(scale * view.camera.height), 1), max(round(scale * view.camera.width), 1)
-
-
-def _picture(view: View, size: tuple[int, int]) -> NDArray[np.uint8]:
-    height, width = size
-    colours = replace(view, mask=None).read_resized(width, height)[..., :3]
+def _picture(view: View) -> NDArray[np.uint8]:
+    small = view.camera.within(SIDE)
+    colours = replace(view, mask=None).read_resized(small.width, small.height)[..., :3]
     return np.ascontiguousarray(images.to_uint8(images.as_float(colours)))
 
 

@@ -1,23 +1,23 @@
 """The space around an object as a grid of cells, and the pixels in which each view sees them."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Self
 
-import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from koala3d.datasets.camera_model import Camera
-from koala3d.datasets.scene import Scene, View
+from koala3d.datasets.scene import Scene
 from koala3d.datasets.structure.bounds import PARALLEL, focus, grid
+from koala3d.datasets.structure.masks.silhouette import Sight, Silhouette
 
 CELLS = 56
 """Cells along each side of the grid."""
 REACH = 1.3
 """Half the grid's side in radii of the ball that is searched."""
-NEAREST = 0.1
-"""Depth in radii below which a view does not count as seeing a cell."""
+WITHIN = 0.6
+"""Radius of the ball that stands for a cell, in half sides: with the diagonal of a pixel that is added it is about as wide."""
 
 
 @dataclass(frozen=True)
@@ -48,54 +48,45 @@ class Ball:
 
 @dataclass(frozen=True, eq=False)
 class Space:
-    """A cubic grid about a ball, and where small pictures show its cells."""
+    """A cubic grid about a ball, and the views that vote on its cells."""
 
-    from_centre: NDArray[np.float64]
-    """(n,) distance of each cell from the ball's centre, in radii."""
-    pixels: tuple[NDArray[np.int32], ...]
-    """For each view, (n,) index of the pixel that shows each cell's centre, -1 where none does."""
-    sizes: tuple[tuple[int, int], ...]
-    """(height, width) of each view's small picture."""
-    widths: tuple[int, ...]
-    """Width of a cell in each view, an odd number of pixels."""
+    ball: Ball
+    sights: tuple[Sight, ...]
+    """Of each view's small picture."""
 
-    @classmethod
-    def about(cls, ball: Ball, views: Sequence[View], cameras: Sequence[Camera]) -> Self:
-        """The grid of a ball; `cameras` are those of the views' small pictures."""
-        points = grid([[-REACH] * 3, [REACH] * 3], CELLS)
-        found = [_seen(ball, points, view, camera) for view, camera in zip(views, cameras, strict=True)]
-        sizes = tuple((camera.height, camera.width) for camera in cameras)
-        return cls(np.linalg.norm(points, axis=1), tuple(one for one, _ in found), sizes, tuple(width for _, width in found))
+    @cached_property
+    def from_centre(self) -> NDArray[np.float64]:
+        """(n,) distance of each cell from the ball's centre, in radii."""
+        return np.linalg.norm(self._cells, axis=1)
 
-    def drawn(self, view: int, values: ArrayLike) -> NDArray[np.float32]:
+    def drawn(self, view: int, values: NDArray[np.float32]) -> NDArray[np.float32]:
         """(height, width) largest of the (n,) non-negative cell values in each pixel of a view; cells fill their width."""
-        height, width = self.sizes[view]
-        picture = np.zeros(height * width, np.float32)
-        seen = self.pixels[view] >= 0
-        np.maximum.at(picture, self.pixels[view][seen], np.asarray(values, np.float32)[seen])
-        return self._widened(view, picture.reshape(height, width))
+        sight = self.sights[view]
+        picture = np.zeros((sight.camera.height, sight.camera.width), np.float32)
+        for value in np.unique(values[values > 0]):
+            picture[sight.covered(self._centres[values == value], self._radius)[0]] = value
+        return picture
 
     def votes(self, view: int, mask: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """(n,) which cells a view sees, and of which its (height, width) mask shows any part."""
-        seen = self.pixels[view] >= 0
-        shown = self._widened(view, mask.astype(np.float32)).ravel()[self.pixels[view]] > 0
-        return seen, seen & shown
+        sight = self.sights[view]
+        shown, empty = Silhouette(sight.camera, sight.world_from_camera, mask).votes(self._centres.T, self._radius)
+        return shown, shown & ~empty
 
-    def _widened(self, view: int, picture: NDArray[np.float32]) -> NDArray[np.float32]:
-        width = self.widths[view]
-        return np.asarray(cv2.dilate(picture, np.ones((width, width), np.uint8)))
+    @cached_property
+    def _cells(self) -> NDArray[np.float64]:
+        """(n, 3) centres about that of the ball, in radii."""
+        return grid([[-REACH] * 3, [REACH] * 3], CELLS)
 
+    @cached_property
+    def _centres(self) -> NDArray[np.float64]:
+        """(n, 3) centres [world unit]."""
+        return self.ball.centre + self.ball.radius * self._cells
 
-def _seen(ball: Ball, points: NDArray[np.float64], view: View, camera: Camera) -> tuple[NDArray[np.int32], int]:
-    """(n,) pixel index of each point of the unit ball, -1 outside the picture, and the width of a cell [px]."""
-    local = (ball.centre + ball.radius * points - view.world_from_camera[:3, 3]) @ view.world_from_camera[:3, :3]
-    before = local[:, 2] > NEAREST * ball.radius
-    at = np.floor(camera.undistorted().project(np.where(before[:, None], local, [0.0, 0.0, 1.0])))
-    inside = before & ((at >= 0) & (at < [camera.width, camera.height])).all(1)
-    index = np.where(inside, at[:, 1] * camera.width + at[:, 0], -1).astype(np.int32)
-    depth = float(np.median(local[inside, 2])) if inside.any() else ball.radius
-    width = int(np.ceil(2 * REACH * ball.radius / CELLS * camera.fx / depth))
-    return index, max(width, 1) | 1
+    @property
+    def _radius(self) -> float:
+        """Of the ball that stands for a cell [world unit]."""
+        return WITHIN * REACH * self.ball.radius / CELLS
 
 
 def _least_half_field(camera: Camera) -> float:

@@ -17,7 +17,8 @@ from koala3d.datasets.scene import STATED, Scene
 from koala3d.datasets.segmentation import strokes
 from koala3d.datasets.segmentation.grow import enlarged
 from koala3d.datasets.structure import bounds
-from koala3d.datasets.structure.hull import visual_hull
+from koala3d.datasets.structure.masks.hull import visual_hull
+from koala3d.datasets.structure.masks.silhouette import silhouettes
 
 STROKES = "strokes.json"
 
@@ -58,7 +59,7 @@ def alone(scene: Scene) -> Scene:
     """A scene whose views have masks, with the object as all there is: bounds are those of its hull, a stated box stays."""
     train = tuple(view for view in scene.views if view.split == "train") or scene.views
     stated = scene.box_is_stated
-    hull = visual_hull(train, scene.box if stated else bounds.visible_box(train))
+    hull = visual_hull(silhouettes(train), scene.box if stated else bounds.visible_box(train))
     near, far = hull.depth_range(scene.views)
     box, words = (scene.box, STATED) if stated else (hull.box, f"masks of {hull.views_used} views")
     return replace(scene, background="white", box=box, near=near, far=far, bounds_from=words)

@@ -42,9 +42,10 @@ def middle(world_from_camera: ArrayLike, box: ArrayLike) -> NDArray[np.float64]:
     return centre if spread > PARALLEL else np.asarray(box, np.float64).mean(0)
 
 
-def grid(box: ArrayLike, cells: int) -> NDArray[np.float64]:
-    """(cells^3, 3) centres of the cells into which a box is divided."""
-    axes = [np.linspace(low, high, 2 * cells + 1)[1::2] for low, high in np.asarray(box, np.float64).T]
+def grid(box: ArrayLike, cells: int | ArrayLike) -> NDArray[np.float64]:
+    """(n, 3) centres of the cells into which a box is divided; `cells` along each side, or (3,) along each axis."""
+    sides = zip(*np.asarray(box, np.float64), np.broadcast_to(np.asarray(cells), 3), strict=True)
+    axes = [np.linspace(low, high, 2 * count + 1)[1::2] for low, high, count in sides]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 

@@ -22,7 +22,7 @@ COUNT = 900
 RATIO = 0.8
 """A match must be this much nearer than the second best (Lowe 2004, section 7.1)."""
 THREADS = min(os.cpu_count() or 1, 4)
-"""Views that are searched at the same time: each has its picture in memory at full size."""
+"""Views that are searched at the same time."""
 BLUR_PX = 2.0
 """Standard deviation of the window in which a feature's colour is measured [px of the image that is searched]."""
 
@@ -82,16 +82,7 @@ def joined(views: Sequence[View], found: Sequence["ViewFeatures"], pairs: Iterab
 
 def detect(view: View, *, side: int = SIDE, count: int = COUNT) -> ViewFeatures:
     """Features of a view; with an alpha or a mask, only those of the object. Raises as `View.read` does."""
-    return detect_in(shrunk(view.read(), side), view, count=count)
-
-
-def shrunk(picture: NDArray[np.float32], side: int = SIDE) -> NDArray[np.float32]:
-    """A picture of at most `side` pixels, averaged over areas."""
-    import cv2
-
-    shrink = max(1.0, max(picture.shape[:2]) / side)
-    width, height = max(round(picture.shape[1] / shrink), 1), max(round(picture.shape[0] / shrink), 1)
-    return np.asarray(cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA), np.float32)
+    return detect_in(view.read_small(side), view, count=count)
 
 
 def detect_in(small: NDArray[np.float32], view: View, *, count: int = COUNT) -> ViewFeatures:

@@ -7,12 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koala3d.datasets.scene import View
-from koala3d.datasets.structure.votes import Silhouette, not_hopeless, upheld
+from koala3d.datasets.structure.masks.silhouette import Silhouette
+from koala3d.datasets.structure.masks.votes import carved
 from koala3d.reconstruct.sampling.occupancy import cell_centres
 from koala3d.reconstruct.scene.rays import Normalisation, Pixels, scaled_camera
-
-BLOCK = 4
-"""Cells per side of the blocks in which space is ruled out first."""
 
 
 def cells_in_masks(
@@ -42,17 +40,9 @@ def cells_in_masks(
         for view, camera, mask in zip(views, cameras, masks, strict=True)
     ]
     order = np.random.default_rng(0).permutation(len(views))  # views far apart rule out most, soonest
-    silhouettes, in_world = [silhouettes[index] for index in order], (slack[0] / normalisation.scale, slack[1])
-    half_diagonal = np.sqrt(3) / grid / normalisation.scale
-    centres = cell_centres(grid, 1.0) / normalisation.scale + normalisation.centre
-    left = np.arange(len(centres))
-    if grid % BLOCK == 0:  # most of the space is ruled out in blocks
-        blocks = cell_centres(grid // BLOCK, 1.0) / normalisation.scale + normalisation.centre
-        hopeful = np.zeros((grid // BLOCK,) * 3, bool)
-        hopeful.flat[not_hopeless(silhouettes, blocks, BLOCK * half_diagonal, in_world)] = True
-        left = np.flatnonzero(hopeful.repeat(BLOCK, 0).repeat(BLOCK, 1).repeat(BLOCK, 2))
-    possible = np.zeros(len(centres), bool)
-    possible[left[upheld(silhouettes, centres[left], half_diagonal, in_world)[0]]] = True
+    box = np.outer([-1, 1], np.ones(3)) / normalisation.scale + normalisation.centre
+    possible = np.zeros(grid**3, bool)
+    possible[carved([silhouettes[i] for i in order], box, grid, slack=(slack[0] / normalisation.scale, slack[1]))] = True
     return possible
 
 

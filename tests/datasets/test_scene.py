@@ -43,6 +43,23 @@ def test_masks_of_all_kinds_read_alike(make_scene: Callable[..., Scene], stored:
         assert np.array_equal(images.as_float(changed.read_resized(96, 72))[..., 3], whole[..., 3])
         small = images.resize(np.where(whole[..., 3:] > 0, whole, 0), 48, 36)
         assert np.abs(changed.read_resized(48, 36) - small).max() < 1e-6
+        assert np.abs(changed.read_cover(48, 36) - small[..., 3]).max() < 1 / 255
+        assert np.array_equal(changed.read_cover(96, 72), whole[..., 3])
+
+
+def test_small_masks_come_from_alphas_and_lossy_files_too(make_scene: Callable[..., Scene]) -> None:
+    view = make_scene(mask=True).views[0]
+    assert view.mask is not None
+    disc, lossy, cut_out = view.read_mask(), view.mask.with_suffix(".jpg"), view.mask.with_suffix(".cut.png")
+    images.write(lossy, np.kron(disc[..., 0], np.ones((8, 8))))
+    images.write(cut_out, images.to_uint16(np.concatenate([disc * 0.5] * 3 + [disc], -1)))
+    exact = images.resize(disc, 24, 18, srgb=False)[..., 0]
+    for same in (replace(view, mask=lossy), replace(view, image=cut_out, mask=None)):
+        assert np.abs(same.read_cover(24, 18) - exact).max() < 0.01
+    assert (replace(view, mask=None).read_cover(24, 18) == 1).all()
+    images.write(view.mask, np.zeros((96, 72), np.uint8))
+    with pytest.raises(DatasetError, match="it is 72x96, its camera says 96x72"):
+        view.read_cover(24, 18)
 
 
 def test_masks_of_another_shape_are_refused(make_scene: Callable[..., Scene]) -> None:

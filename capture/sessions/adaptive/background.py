@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koala3d.datasets.camera_model import Camera
-from koala3d.datasets.structure.votes import Silhouette
+from koala3d.datasets.structure.masks.silhouette import Silhouette
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.float32]

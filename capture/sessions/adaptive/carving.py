@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from koala3d.capture.sessions.adaptive.background import Outline
 from koala3d.capture.sessions.adaptive.places import Places, of_cells
-from koala3d.datasets.structure.votes import Silhouette, distance_to
+from koala3d.datasets.structure.masks.silhouette import Silhouette
 
 Array = NDArray[np.float64]
 
@@ -43,7 +43,7 @@ def carved(outlines: Sequence[Outline], corners: Array, table_z: float) -> Place
 
 def _outside(silhouette: Silhouette, points: Array) -> NDArray[np.bool_]:
     """(n,) which of (3, n) points are in the picture, and outside its silhouette."""
-    return silhouette.votes(points, distance_to(silhouette.inside), 0.0)[1]
+    return silhouette.votes(points, 0.0)[1]
 
 
 def _body(left: NDArray[np.bool_], low: NDArray[np.bool_]) -> NDArray[np.bool_] | None:

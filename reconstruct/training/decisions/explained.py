@@ -15,7 +15,7 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinat
 
 from koala3d.datasets.imaging.images import linear_from_srgb
 from koala3d.datasets.scene import View
-from koala3d.datasets.structure.votes import PIXELS_APART
+from koala3d.datasets.structure.masks.silhouette import PIXELS_APART
 from koala3d.reconstruct.scene.light import LightFrame
 from koala3d.reconstruct.scene.rays import Pixels
 

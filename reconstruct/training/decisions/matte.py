@@ -7,7 +7,7 @@ light. Reflections move over the surface, change with the view, or meet behind a
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.datasets.structure.matching import SIDE, Matches, ViewFeatures, shrunk
+from koala3d.datasets.structure.matching import SIDE, Matches, ViewFeatures
 from koala3d.datasets.structure.triangulate import meeting_places
 
 ALIKE = 0.1
@@ -34,7 +34,7 @@ def matte_share(matches: Matches, box: NDArray[np.float64], side: int = SIDE) ->
     chosen = np.unique(np.linspace(0, len(matches.views) - 1, PICTURES).round().astype(int))
     shares = []
     for index in chosen:
-        view, picture = matches.views[index], shrunk(matches.views[index].read(), side)
+        view, picture = matches.views[index], matches.views[index].read_small(side)
         if picture.shape[-1] != 4:
             return None
         height, width = picture.shape[:2]

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from koala3d.datasets import pose
 from koala3d.datasets.checks.check import check
 from koala3d.datasets.core.errors import DatasetError, UsageError
-from koala3d.datasets.formats import load_scene
+from koala3d.datasets.formats import load_scene, save_scene
 from koala3d.datasets.formats.colmap_files import read_model
 from tests.foreign import colmap, photographs
 
@@ -328,3 +328,22 @@ def test_pixels_without_a_ray_are_counted_or_the_lens_is_refused(tmp_path: Path)
     colmap.write(colmap.model(lens, poses(4)), tmp_path / "none")
     with pytest.raises(DatasetError, match=r"lens is not usable .* can be inverted at \d+% of the pixels"):
         load_scene(tmp_path / "none")
+
+
+def test_masks_of_what_is_in_the_way_hide_pixels_and_no_background(transforms: Writer, tmp_path: Path) -> None:
+    """As nerfstudio reads mask_path: a gripper at the lower edge of all pictures of a room."""
+    gripper = np.full((80, 120), 255, np.uint8)
+    gripper[60:, 40:80] = 0
+    photographs.write(tmp_path / "mask.png", gripper)
+    scene = load_scene(transforms(frame=lambda k: {"mask_path": "mask.png"}))
+    assert (
+        scene.background == "scene"
+        and scene.bounds_from.startswith("cameras")
+        and "masks are white at all edges" in scene.notes[-1]
+    )
+    for view in scene.views:
+        counted = view.counted(view.camera)
+        assert view.mask is None and counted is not None and np.array_equal(counted, gripper > 0)
+    save_scene(scene, tmp_path / "koala", "koala")
+    view = load_scene(tmp_path / "koala").views[0]
+    assert view.ignored is not None and np.array_equal(view.counted(view.camera), gripper > 0)

@@ -2,10 +2,8 @@ from collections.abc import Callable
 
 import equinox as eqx
 import numpy as np
-import pytest
 
 from koala3d.datasets.scene import Scene
-from koala3d.reconstruct.sampling import hull
 from koala3d.reconstruct.sampling.hull import cells_in_masks
 from koala3d.reconstruct.sampling.occupancy import cell_centres
 from koala3d.reconstruct.scene.rays import Normalisation, Pixels
@@ -44,15 +42,6 @@ def test_one_wrong_mask_rules_nothing_out(make_scene: Callable[..., Scene]) -> N
     world = cell_centres(16, 1.0) / normalisation.scale + normalisation.centre
     cells = cells_in_masks(spoilt, scene.views, normalisation, 16, 1.0)
     assert cells is not None and cells[np.linalg.norm(world, axis=-1) < 0.06].all() and not cells.all()
-
-
-def test_blocks_change_nothing(make_scene: Callable[..., Scene], monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = make_scene(mask=True)
-    found = []
-    for block in (1, 4):
-        monkeypatch.setattr(hull, "BLOCK", block)
-        found.append(cells_in_masks(pixels_of(scene), scene.views, Normalisation.of(scene), 32, 1.0))
-    np.testing.assert_array_equal(*found)
 
 
 def test_views_without_masks_rule_nothing_out(make_scene: Callable[..., Scene]) -> None:

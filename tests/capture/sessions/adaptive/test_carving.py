@@ -6,7 +6,7 @@ from koala3d.capture.sessions.adaptive.background import Outline
 from koala3d.capture.sessions.adaptive.carving import carved
 from koala3d.datasets import pose
 from koala3d.datasets.camera_model import Camera
-from koala3d.datasets.structure.votes import Silhouette
+from koala3d.datasets.structure.masks.silhouette import Silhouette
 
 CAMERA = Camera(160, 120, 150.0, 150.0, 80.0, 60.0)
 CORNERS = np.array([[0.27, -0.13, 0.0], [0.53, 0.13, 0.3]])

@@ -10,8 +10,8 @@ import pytest
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.imaging import images
 from koala3d.datasets.scene import View
-from koala3d.datasets.structure import outlined as module
-from koala3d.datasets.structure.outlined import outlined
+from koala3d.datasets.structure.masks import outlined as module
+from koala3d.datasets.structure.masks.outlined import outlined
 
 
 @pytest.fixture

@@ -1,25 +1,24 @@
 """The visual hull: the space that the masks leave to the object. Its box is a safe bound of the object."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from koala3d.datasets.imaging import images
-from koala3d.datasets.imaging.downscale import streamed
-from koala3d.datasets.imaging.reduced import READERS
 from koala3d.datasets.scene import View
-from koala3d.datasets.splits import evenly
 from koala3d.datasets.structure.bounds import Box, depth_range, grid
-from koala3d.datasets.structure.votes import FEWEST, Silhouette, upheld
+from koala3d.datasets.structure.masks.silhouette import Silhouette
+from koala3d.datasets.structure.masks.votes import FEWEST, carved
 
+CELLS = 48
+"""Cells along each side of a box."""
 GROWTH = (1.0, 1.25, 1.5, 2.0, 2.5)
 """Sizes of the box that the hull is looked for in, until it explains the masks: an object may go on beyond most pictures."""
 SEEN_BY = (3, 6, 12)
-"""A voxel is seen by one of so many views; fewer where the hull explains the masks only then."""
+"""A cell is seen by one of so many views; fewer where the hull explains the masks only then."""
 UNEXPLAINED = 0.003
-"""Share of the object's pixels that may see no voxel of the hull, in the mean over the views."""
+"""Share of the object's pixels that may see no cell of the hull, in the mean over the views."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,9 +28,9 @@ class Hull:
     box: Box
     """(2, 3) corners."""
     centres: NDArray[np.float64]
-    """(n, 3) centres of its voxels."""
+    """(n, 3) centres of its cells."""
     radius: float
-    """Half the diagonal of a voxel [world unit]."""
+    """Half the diagonal of a cell [world unit]."""
     views_used: int
     """Number of views whose masks were read; 0 where they exclude everything and the hull is the initial box."""
 
@@ -47,24 +46,22 @@ class Hull:
         return max(nearest - self.radius, least), min(furthest + self.radius, greatest)
 
     def unexplained(self, silhouettes: Sequence[Silhouette]) -> float:
-        """Share of the object's pixels that see none of its voxels, in the mean over views."""
+        """Share of the object's pixels that see none of its cells, in the mean over views."""
         return float(np.mean([silhouette.unexplained(self.centres, self.radius) for silhouette in silhouettes]))
 
 
-def visual_hull(views: Sequence[View], box: ArrayLike, *, views_used: int = 64, resolution: int = 48) -> Hull:
+def visual_hull(silhouettes: Sequence[Silhouette], box: ArrayLike) -> Hull:
     """The space that masks leave to the object and that a third of the views see, looked for in `box`.
 
     Where such a hull does not explain the masks, since the object leaves pictures at their edges, it is looked for in a larger
     box, and among what fewer views see.
     """
-    chosen = evenly(views, views_used)
-    silhouettes = list(streamed(_silhouette, chosen, workers=READERS))
     start = np.asarray(box, np.float64)
     found: list[tuple[float, Hull]] = []
     for one_of in SEEN_BY:
         for growth in GROWTH:
             grown = start.mean(0) + growth * (start - start.mean(0))
-            hull = _hull_within(silhouettes, grown, max(len(chosen) // one_of, FEWEST), resolution)
+            hull = _hull_within(silhouettes, grown, max(len(silhouettes) // one_of, FEWEST))
             if hull is None:
                 continue
             found.append((hull.unexplained(silhouettes), hull))
@@ -73,34 +70,14 @@ def visual_hull(views: Sequence[View], box: ArrayLike, *, views_used: int = 64, 
     return min(found, key=lambda one: one[0])[1] if found else Hull(start, np.zeros((0, 3)), 0.0, 0)
 
 
-def _hull_within(silhouettes: Sequence[Silhouette], box: Box, needed: int, resolution: int) -> Hull | None:
-    """The hull of what `needed` views see of a box; None where there is none. Three passes, each in the box of the last."""
+def _hull_within(silhouettes: Sequence[Silhouette], box: Box, seen_by: int) -> Hull | None:
+    """The hull of what so many views see of a box; None where there is none. Three passes, each in the box of the last."""
     kept, radius, result = np.zeros((0, 3)), 0.0, box
     for _ in range(3):
-        voxel = (result[1] - result[0]) / resolution
-        points = grid(result, resolution)
-        radius = float(np.linalg.norm(voxel)) / 2
-        index, seen = upheld(silhouettes, points, radius)
-        kept = points[index[seen >= needed]]
+        cell = (result[1] - result[0]) / CELLS
+        radius = float(np.linalg.norm(cell)) / 2
+        kept = grid(result, CELLS)[carved(silhouettes, result, CELLS, seen_by=seen_by)]
         if not len(kept):
             return None
-        result = np.stack([np.maximum(kept.min(0) - voxel, result[0]), np.minimum(kept.max(0) + voxel, result[1])])
+        result = np.stack([np.maximum(kept.min(0) - cell, result[0]), np.minimum(kept.max(0) + cell, result[1])])
     return Hull(result, kept, radius, len(silhouettes))
-
-
-_CELL = 2
-"""Pixels per side of a mask cell."""
-FAINTEST = 0.1
-"""Alpha above which a pixel may be of the object: compressed masks have specks of a few hundredths."""
-
-
-def _silhouette(view: View) -> Silhouette:
-    """A view's mask in cells, of the object where any of their pixels is."""
-    stored = view.read_stored_mask() if view.mask else images.read_stored(view.image)[..., -1:]
-    inside = images.as_float(stored)[..., 0] > FAINTEST
-    height, width = inside.shape
-    padded = np.pad(inside, ((0, -height % _CELL), (0, -width % _CELL)))
-    rows, columns = padded.shape[0] // _CELL, padded.shape[1] // _CELL
-    cells = np.any(padded.reshape(rows, _CELL, columns, _CELL), axis=(1, 3))
-    camera = replace(view.camera, width=columns * _CELL, height=rows * _CELL).scaled(columns, rows)
-    return Silhouette(camera, view.world_from_camera, cells)

@@ -19,13 +19,15 @@ from koala3d.datasets.core.errors import KoalaError
 from koala3d.datasets.imaging import images
 from koala3d.datasets.scene import View
 from koala3d.datasets.splits import evenly
-from koala3d.datasets.structure import bounds, polarity
-from koala3d.datasets.structure.hull import visual_hull
+from koala3d.datasets.structure import bounds
+from koala3d.datasets.structure.masks import polarity
+from koala3d.datasets.structure.masks.hull import visual_hull
+from koala3d.datasets.structure.masks.silhouette import silhouettes
 
-VERSION = 1
+VERSION = 3
 """Raised when the same masks give another answer: older ones are then not used."""
 LOOKED_AT = 5
-"""Views of which one must have empty pixels, evenly spread."""
+"""Views of which one must have a mask or an alpha, evenly spread."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +36,8 @@ class Outlined:
 
     inverted: str = ""
     """Why black is the object in the files of the masks; empty where white is."""
+    ignored: bool = False
+    """Whether black is not the background of an object but what is to be ignored: white surrounds the whole scene."""
     box: bounds.Box | None = None
     """(2, 3) corners of the object's box; None where no pixel is marked as empty."""
     near: float = 0.0
@@ -46,13 +50,12 @@ class Outlined:
 
 def outlined(views: Sequence[View]) -> Outlined:
     """What masks or alphas say; computed once for the same files. Raises DatasetError where one of them is damaged."""
-    looked_at = evenly(views, LOOKED_AT)
-    if all(view.mask is None for view in views) and not any(images.channels(view.image) in (2, 4) for view in looked_at):
+    if not any(view.mask or images.channels(view.image) in (2, 4) for view in evenly(views, LOOKED_AT)):
         return Outlined()
     path = _place(views)
     if path is not None and (kept := _kept(path)):
         return kept
-    found = _computed(views, looked_at)
+    found = _computed(views)
     if path is not None:
         with suppress(OSError):  # the cache saves time, no more
             files.make_folder(path.parent)
@@ -60,22 +63,19 @@ def outlined(views: Sequence[View]) -> Outlined:
     return found
 
 
-def _computed(views: Sequence[View], looked_at: Sequence[View]) -> Outlined:
-    why = polarity.inverted(views) if all(view.mask is not None for view in views) else ""
-    if why:
-        views, looked_at = ([replace(view, mask_inverted=True) for view in some] for some in (views, looked_at))
-    if not any(map(_has_empty_pixels, looked_at)):
-        return Outlined(why)
+def _computed(views: Sequence[View]) -> Outlined:
     train = [view for view in views if view.split == "train"] or views
-    hull = visual_hull(train, bounds.visible_box(train))
-    return Outlined(why, hull.box, *hull.depth_range(views), hull.views_used)
-
-
-def _has_empty_pixels(view: View) -> bool:
-    """True where a mask or an alpha marks pixels as empty; an opaque alpha does not count."""
-    if view.mask is None and images.channels(view.image) not in (2, 4):
-        return False
-    return float((view.read_image() if view.mask is None else view.read_mask())[..., -1].min()) < 0.5
+    box, found = bounds.visible_box(train), silhouettes(train)
+    masked = all(view.mask for view in views)
+    why = polarity.inverted(found, box) if masked else ""
+    if masked and not why and not all(one.inside.all() for one in found) and polarity.of_surroundings(found):
+        return Outlined(ignored=True)
+    if why:
+        found = silhouettes([replace(view, mask_inverted=True) for view in train])
+    if all(one.inside.all() for one in found):  # an opaque alpha does not count
+        return Outlined(why)
+    hull = visual_hull(found, box)
+    return Outlined(why, False, hull.box, *hull.depth_range(views), hull.views_used)
 
 
 def _place(views: Sequence[View]) -> Path | None:
@@ -100,6 +100,6 @@ def _kept(path: Path) -> Outlined | None:
         content: dict[str, Any] = files.read_json(path)
         box = content["box"] if content["box"] is None else np.array(content["box"], np.float64).reshape(2, 3)
         numbers = float(content["near"]), float(content["far"]), int(content["views_used"])
-        return Outlined(str(content["inverted"]), box, *numbers)
+        return Outlined(str(content["inverted"]), bool(content["ignored"]), box, *numbers)
     except (KoalaError, OSError, KeyError, TypeError, ValueError):
         return None

@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 
 from koala3d.datasets.camera_model import Camera
-from koala3d.datasets.structure.votes import FEWEST, Silhouette, distance_to, needed, not_hopeless, upheld
+from koala3d.datasets.structure.bounds import grid
+from koala3d.datasets.structure.masks import votes
+from koala3d.datasets.structure.masks.silhouette import Silhouette, distance_to
+from koala3d.datasets.structure.masks.votes import FEWEST, carved, needed
 
 CAMERA = Camera(128, 128, 90, 90, 64, 64)
 DISTANCE, RADIUS = 4.0, 1.0
@@ -34,36 +37,30 @@ def silhouettes(count: int = 20, camera: Camera = CAMERA) -> list[Silhouette]:
     return found
 
 
-def grid(size: int = 32, reach: float = 1.6) -> tuple[np.ndarray, float]:
-    axis = ((np.arange(size) + 0.5) / size * 2 - 1) * reach
-    return np.stack(np.meshgrid(axis, axis, axis), -1).reshape(-1, 3), np.sqrt(3) / size * reach
+BOX, CELLS = np.array([[-1.6] * 3, [1.6] * 3]), 32
+POINTS, CELL = grid(BOX, CELLS), np.sqrt(3) / CELLS * 1.6
+"""Centres of the cells, and half a cell's diagonal."""
 
 
-def left(views: list[Silhouette]) -> np.ndarray:
-    points, radius = grid()
-    found = np.zeros(len(points), bool)
-    found[upheld(views, points, radius)[0]] = True
+def left(views: list[Silhouette], **rule: object) -> np.ndarray:
+    found = np.zeros(len(POINTS), bool)
+    found[carved(views, BOX, CELLS, **rule)] = True
     return found
 
 
 def test_exact_masks_leave_the_object_and_little_else() -> None:
-    points, radius = grid()
-    kept, distance = left(silhouettes()), np.linalg.norm(points, axis=1)
+    kept, distance = left(silhouettes()), np.linalg.norm(POINTS, axis=1)
     assert kept[distance < RADIUS].all(), "no part of the object is ruled out"
-    assert not kept[distance > RADIUS + 2 * radius + 0.3].any(), "0.3: two of twenty views must miss it"
+    assert not kept[distance > RADIUS + 2 * CELL + 0.3].any(), "0.3: two of twenty views must miss it"
 
 
 @pytest.mark.parametrize("wrong", [lambda inside: inside & False, lambda inside: inside & (np.arange(128) < 57)])
 def test_one_wrong_mask_among_many_rules_nothing_out(wrong) -> None:
     views = silhouettes()
     spoilt = [replace(views[0], inside=wrong(views[0].inside)), *views[1:]]
-    points, _ = grid()
-    assert (
-        spoilt[0]
-        .votes(points.T, distance_to(spoilt[0].inside), grid()[1])[1][np.linalg.norm(points, axis=1) < 0.9 * RADIUS]
-        .any()
-    ), "premise: it votes against"
-    assert left(spoilt)[np.linalg.norm(points, axis=1) < RADIUS].all()
+    distance = np.linalg.norm(POINTS, axis=1)
+    assert spoilt[0].votes(POINTS.T, CELL)[1][distance < 0.9 * RADIUS].any(), "premise: it votes against"
+    assert left(spoilt)[distance < RADIUS].all()
     assert left(spoilt).sum() < 1.3 * left(views).sum(), "the others still rule out"
 
 
@@ -77,39 +74,48 @@ def test_what_a_picture_does_not_show_it_cannot_rule_out() -> None:
     """Pictures that end in the middle of the ball, all masks of which are empty, leave what lies beyond them."""
     half = replace(CAMERA, width=64)
     views = [Silhouette(half, view.world_from_camera, np.zeros((128, 64), bool)) for view in silhouettes(1) * 3]
-    points, _ = grid()
-    across = points @ views[0].world_from_camera[:3, 0]
+    across = POINTS @ views[0].world_from_camera[:3, 0]
     kept = left(views)
-    assert kept[across > 0.01].all() and not kept[(across < -0.01) & (np.linalg.norm(points, axis=1) < 1)].any()
+    assert kept[across > 0.01].all() and not kept[(across < -0.01) & (np.linalg.norm(POINTS, axis=1) < 1)].any()
 
 
 def test_a_camera_that_may_stand_elsewhere_rules_out_less() -> None:
-    points, radius = grid()
     (view,) = silhouettes(1)
-    exact, moved, turned = (
-        view.votes(points.T, distance_to(view.inside), radius, slack)[1].sum() for slack in ((0, 0), (0.1, 0), (0, 0.05))
-    )
+    exact, moved, turned = (view.votes(POINTS.T, CELL, slack)[1].sum() for slack in ((0, 0), (0.1, 0), (0, 0.05)))
     assert exact > moved > 0 and exact > turned > 0
 
 
-def test_blocks_are_given_up_only_if_all_their_cells_are() -> None:
-    """Blocks of 4 x 4 x 4 cells; pictures cut the object, so that some cells are shown and their blocks are not."""
-    narrow = silhouettes(camera=replace(CAMERA, width=60, cx=30.0))
-    blocks, radius = grid(8)
-    hopeful = np.zeros((8,) * 3, bool)
-    hopeful.flat[not_hopeless(narrow, blocks, radius)] = True
-    cells = left(narrow).reshape((32,) * 3)
-    assert not (cells & ~hopeful.repeat(4, 0).repeat(4, 1).repeat(4, 2)).any() and not hopeful.all()
+@pytest.mark.parametrize("rule", [{}, {"centres": True, "share": 0.13}, {"seen_by": 6, "slack": (0.05, 0.01)}])
+def test_blocks_change_nothing(monkeypatch: pytest.MonkeyPatch, rule: dict) -> None:
+    """Pictures cut the object, so that some cells are shown and their blocks are not."""
+    narrow, found = silhouettes(camera=replace(CAMERA, width=60, cx=30.0)), []
+    for block in (5, 4):  # 5 does not divide 32: no blocks
+        monkeypatch.setattr(votes, "BLOCK", block)
+        found.append(left(narrow, **rule))
+    np.testing.assert_array_equal(*found)
+    assert found[0].any() and not found[0].all()
+
+
+def test_centres_leave_less_than_whole_cells() -> None:
+    whole, centres = left(silhouettes()), left(silhouettes(), centres=True)
+    assert whole[centres].all() and centres.sum() < whole.sum()
+    assert centres[np.linalg.norm(POINTS, axis=1) < RADIUS].all()
+
+
+def test_cells_that_few_views_see_are_left_only_if_few_are_asked_for() -> None:
+    views = silhouettes(20)
+    seen = sum(view.votes(POINTS.T, CELL)[0].astype(int) for view in views)
+    assert seen.min() < 15 <= seen.max(), "premise: pictures end before the box does"
+    np.testing.assert_array_equal(left(views, seen_by=15), left(views) & (seen >= 15))
 
 
 def test_unexplained_pixels_are_those_that_see_nothing_of_the_hull() -> None:
-    points, radius = grid()
-    ball = points[np.linalg.norm(points, axis=1) < RADIUS]
+    ball = POINTS[np.linalg.norm(POINTS, axis=1) < RADIUS]
     view = silhouettes(1)[0]
-    assert view.unexplained(ball, radius) == 0
+    assert view.unexplained(ball, CELL) == 0
     cut = ball[ball @ view.world_from_camera[:3, 0] < 0]
-    assert 0.3 < view.unexplained(cut, radius) < 0.5, "half of the ball, less what a voxel covers"
-    assert view.unexplained(ball[:0], radius) == 1
+    assert 0.3 < view.unexplained(cut, CELL) < 0.5, "half of the ball, less what a cell covers"
+    assert view.unexplained(ball[:0], CELL) == 1
 
 
 def test_votes_are_several_and_a_share() -> None:
