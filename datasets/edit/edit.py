@@ -195,12 +195,14 @@ def cropped(scene: Scene, left: int, top: int, width: int, height: int, folder: 
     for view in scene.views:
         camera = replace(view.camera, width=width, height=height, cx=view.camera.cx - left, cy=view.camera.cy - top)
         mask = cut(view.mask, _path(folder, "masks", view, view.mask)) if view.mask else None
+        ignored = cut(view.ignored, _path(folder, "ignored", view, view.ignored)) if view.ignored else None
         truth = {key: cut(path, _path(folder, f"truth/{key}", view, path)) for key, path in view.truth.items() if key != "depth"}
         if "depth" in view.truth:  # may be encoded along the rays of the old camera
             truth["depth"] = _exr(folder, "depth", view)
             images.write(truth["depth"], view.read_truth("depth")[top : top + height, left : left + width])
         image = cut(view.image, _path(folder, "images", view, view.image))
-        views.append(replace(view, camera=camera, image=image, mask=mask, truth=truth, deviation=None))
+        view = replace(view, camera=camera, image=image, mask=mask, ignored=ignored)
+        views.append(replace(view, truth=truth, deviation=None))
         done()
     return _with_views(scene, views, lambda name, pixels: pixels - [left, top])
 

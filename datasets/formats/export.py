@@ -62,16 +62,22 @@ def place(view: View, folder: Path, stem: str, layout: Layout) -> PlacedView:
         image = _kept(view.image, folder, stem)
     else:
         image = _redrawn(view, folder, stem, None if same else pinhole, merged=merged)
-    mask = None
-    if view.mask is not None and layout.mask is not None:
-        at = layout.mask.format(stem=Path(stem).name, file=image.name)
-        mask = _kept(view.mask, folder, at) if same else _written(folder, f"{at}.png", _straightened(view.mask, pinhole))
+    hidden = view.mask or view.ignored
+    if hidden is not None:
+        hidden = None if layout.mask is None else _hidden(hidden, folder, layout.mask, image, None if same else pinhole)
+    mask, ignored = (hidden, None) if view.mask else (None, hidden)
     truth = {key: _truth(view, key, folder, pinhole, same) for key in view.truth}
     if same:
-        return PlacedView(replace(view, image=image, mask=mask, truth=truth, deviation=None), 0.0, False)
+        return PlacedView(replace(view, image=image, mask=mask, ignored=ignored, truth=truth, deviation=None), 0.0, False)
     matrix = view.world_from_camera @ pinhole.source_from_camera
-    placed = replace(view, camera=pinhole.camera, world_from_camera=matrix, image=image, mask=mask, truth=truth, deviation=None)
-    return PlacedView(placed, pinhole.turned_deg, True)
+    view = replace(view, camera=pinhole.camera, world_from_camera=matrix, mask=mask, ignored=ignored)
+    return PlacedView(replace(view, image=image, truth=truth, deviation=None), pinhole.turned_deg, True)
+
+
+def _hidden(source: Path, folder: Path, place: str, image: Path, pinhole: undistort.Pinhole | None) -> Path:
+    """A mask at the place that the layout has for it, straightened if there is a pinhole."""
+    at = place.format(stem=image.stem, file=image.name)
+    return _kept(source, folder, at) if pinhole is None else _written(folder, f"{at}.png", _straightened(source, pinhole))
 
 
 def place_all(
@@ -108,6 +114,8 @@ def limits(scene: Scene, placed: Sequence[PlacedView], layout: Layout) -> str:
     merged = sum(view.mask is not None for view in scene.views) if layout.mask is None else 0
     if merged:
         lost.append(f"masks beside images: {merged} were put into the images' alpha")
+    if layout.mask is None and any(view.ignored for view in scene.views):
+        lost.append("pixels that are to be ignored")
     if scene.metric or any(view.truth for view in scene.views) or scene.background == "scene":
         lost.append("bounds, background, scale and truth: koala.json keeps them")
     return f"{layout.title} cannot hold " + "; nor ".join(lost) if lost else ""

@@ -245,8 +245,8 @@ def _intrinsics(camera: Camera) -> dict[str, Any]:
 
 def _frame(view: View, folder: Path, depth: Path | None, *, common: bool) -> dict[str, Any]:
     own = {} if common else _intrinsics(view.camera)
-    if view.mask is not None:
-        own["mask_path"] = view.mask.relative_to(folder).as_posix()
+    if (hidden := view.mask or view.ignored) is not None:
+        own["mask_path"] = hidden.relative_to(folder).as_posix()
     if depth is not None:
         own["depth_file_path"] = depth.relative_to(folder).as_posix()
     return {"file_path": f"images/{view.image.name}", **own, "transform_matrix": opengl.transform_matrix(view.world_from_camera)}

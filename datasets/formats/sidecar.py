@@ -24,7 +24,8 @@ def write(folder: Path, scene: Scene, views: dict[str, View]) -> None:
 
     def entry(index: int, view: View) -> dict[str, Any]:
         truth = {key: path.relative_to(folder).as_posix() for key, path in view.truth.items()}
-        return {"index": index, "name": view.name, "split": view.split, "truth": truth, "depth_unit": view.depth_unit}
+        found = {"index": index, "name": view.name, "split": view.split, "truth": truth, "depth_unit": view.depth_unit}
+        return found | {"mask_ignores": True} if view.ignored else found
 
     entries = {name: entry(index, view) for index, (name, view) in enumerate(views.items())}
     content = {"format": FORMAT, "version": VERSION, **facts(scene), "views": entries}
@@ -125,6 +126,8 @@ def restore(content: dict[str, Any], views: tuple[View, ...], folder: Path, *, n
             if entry["split"] not in SPLITS:
                 raise DatasetError(f"no split called {entry['split']!r}", where=f"{where}, {view.name}")
             unit = unit_of(entry, view.depth_unit)
+            if entry.get("mask_ignores") is True:
+                view = replace(view, mask=None, ignored=view.mask)
             return replace(view, name=name, split=entry["split"], truth=truth, depth_unit=unit)
         except (KeyError, TypeError, AttributeError, ValueError) as error:
             raise DatasetError("view is not complete", where=f"{where}, {view.name}", why=str(error)) from None

@@ -344,6 +344,8 @@ def test_masks_of_what_is_in_the_way_hide_pixels_and_no_background(transforms: W
     for view in scene.views:
         counted = view.counted(view.camera)
         assert view.mask is None and counted is not None and np.array_equal(counted, gripper > 0)
-    save_scene(scene, tmp_path / "koala", "koala")
-    view = load_scene(tmp_path / "koala").views[0]
-    assert view.ignored is not None and np.array_equal(view.counted(view.camera), gripper > 0)
+    for format in ("koala", "nerfstudio", "colmap"):
+        save_scene(scene, tmp_path / format, format)
+        view = load_scene(tmp_path / format).views[0]
+        assert view.mask is None and np.array_equal(view.counted(view.camera), gripper > 0)
+    assert "pixels that are to be ignored" in save_scene(scene, tmp_path / "blender", "blender")
