@@ -39,10 +39,16 @@ _opening = threading.Lock()
 
 @contextlib.contextmanager
 def _guarded_serving() -> Iterator[None]:
-    """While this is open, the web servers that viser starts answer only requests that come from their own pages."""
-    serve = websockets.asyncio.server.serve
+    """While this is open, the web servers that viser starts answer only requests that come from their own pages.
+
+    Raises KoalaError: viser has started none in the way that is guarded.
+    """
+    serve, guards = websockets.asyncio.server.serve, 0
 
     def guarded(*arguments: Any, process_request: Any = None, **options: Any) -> Any:
+        nonlocal guards
+        guards += 1
+
         async def checked(connection: ServerConnection, request: Request) -> Response | None:
             if not from_own_page(request.headers):
                 return connection.respond(http.HTTPStatus.FORBIDDEN, "This page is for its own computer only.\n")
@@ -57,6 +63,10 @@ def _guarded_serving() -> Iterator[None]:
             yield
         finally:
             websockets.asyncio.server.serve = serve  # type: ignore[misc]
+    if not guards:
+        why = f"viser {viser.__version__} starts its server in another way"
+        remedy = "install another version: pip install 'viser>=1.1,<2'"
+        raise KoalaError("page cannot be guarded from other sites", why=why, remedy=remedy)
 
 
 def from_own_page(headers: Headers) -> bool:

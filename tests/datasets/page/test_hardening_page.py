@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 import pytest
 import viser
 
+from koala3d.datasets.core.errors import KoalaError
 from koala3d.datasets.page import open_page
 
 UPGRADE = (
@@ -81,3 +82,15 @@ def test_a_request_without_one_host_is_refused(port: int, headers: Headers) -> N
 )
 def test_nothing_but_the_pages_own_assets_is_served(port: int, path: str) -> None:
     assert ask(port, own(port), path) in ((200,) if path == "/." else (400, 403, 404))  # the dot is the page itself
+
+
+def test_a_viewer_that_cannot_be_guarded_is_not_opened(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As after an update of viser that takes the server from somewhere else."""
+    from koala3d.datasets.page import server
+
+    class Unguarded:
+        def __init__(self, **options: object) -> None: ...
+
+    monkeypatch.setattr(server, "_LocalServer", Unguarded)
+    with pytest.raises(KoalaError, match="page cannot be guarded from other sites"), open_page("unguarded", 0):
+        pass
