@@ -82,7 +82,9 @@ def by_length(views: Sequence[View], known: KnownLength) -> tuple[float, str]:
 
 
 def read_positions(path: Path) -> dict[str, Array]:
-    """Positions [m] by name, from lines "NAME X Y Z"; commas count as spaces, lines that begin with # are left out.
+    """Positions [m] by name, from lines "NAME X Y Z"; lines that begin with # are left out.
+
+    Between the words are semicolons, tabs, spaces or commas, and commas in the numbers if something else is between them.
 
     Raises:
         UsageError: the file is missing.
@@ -91,12 +93,12 @@ def read_positions(path: Path) -> dict[str, Array]:
     found: dict[str, Array] = {}
     lines = files.read_text(path, MAX_BYTES, suffixes=(".txt", ".csv")).splitlines()
     for number, line in enumerate(lines, 1):
-        words = line.replace(",", " ").split()
+        words = _words(line)
         if not words or words[0].startswith("#"):
             continue
         where = f"{path}, line {number}"
         try:
-            position = np.array([float(word) for word in words[-3:]])
+            position = np.array([float(word.replace(",", ".")) for word in words[-3:]])
         except ValueError:
             position = np.array([np.nan])
         if len(words) < 4 or not np.isfinite(position).all():
@@ -106,6 +108,15 @@ def read_positions(path: Path) -> dict[str, Array]:
             raise DatasetError("picture is listed twice", where=where, why=name)
         found[name] = position
     return found
+
+
+def _words(line: str) -> list[str]:
+    """The words of a line; commas stay in them if something else is between four of them or more."""
+    for mark in (";", "\t"):
+        if line.count(mark) >= 3:
+            return [word.strip() for word in line.split(mark) if word.strip()]
+    words = line.split()
+    return words if len(words) >= 4 and not any(word.endswith(",") for word in words) else line.replace(",", " ").split()
 
 
 def by_positions(views: Sequence[View], positions: Mapping[str, Array]) -> tuple[Similarity, str]:

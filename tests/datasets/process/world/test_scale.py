@@ -148,3 +148,13 @@ def test_a_file_of_positions(tmp_path: Path) -> None:
 def test_pictures_are_found_by_file_name_too(views: list[View]) -> None:
     positions = {f"{name}.jpg": place for name, place in flange(views, np.zeros(3)).items()}
     assert scale.by_positions(views, positions)[0].scale == pytest.approx(WORLD_FROM_MODEL.scale)
+
+
+@pytest.mark.parametrize(
+    "line", ["a 1;0,5;-1,25;2", "a 1\t0,5\t-1,25\t2,0", "a1 0,5 -1,25 2,0", "a 1, 0.5, -1.25, 2", "a1,0.5,-1.25,2"]
+)
+def test_positions_as_spreadsheets_write_them(tmp_path: Path, line: str) -> None:
+    """Decimal commas of a European Excel, with a byte order mark; and commas between."""
+    (tmp_path / "positions.csv").write_bytes(b"\xef\xbb\xbf" + line.encode() + b"\r\n")
+    (position,) = scale.read_positions(tmp_path / "positions.csv").values()
+    assert position.tolist() == [0.5, -1.25, 2.0]
