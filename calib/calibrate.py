@@ -16,6 +16,7 @@ from koala3d.calib.handeye import (
     flatness,
     flips,
     links,
+    misread,
     mistakes,
     order,
     outliers,
@@ -130,6 +131,7 @@ def solve(session: TargetSession, given: Calibration | None = None, accuracy: Ac
     links.check(session, accuracy)
     first = first_stage(session, given, lens)
     boards = estimate.camera_from_boards(first.camera, first.session.observations)
+    misread.explain(first.session, boards)
     names = [observation.name for observation in first.session.observations]
     order.explain(first.session.stand_from_mount, flips.readings(first.session, boards), names)
     chosen, boards = flips.resolve(first.session, boards)

@@ -21,6 +21,15 @@ from koala3d.datasets.recording import FRAMES, MANIFEST, Recording
 from koala3d.datasets.targets.board import Board
 
 
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """What the poses of a file would be if its numbers meant something else than was said."""
+
+    kind: str  # for instance: Euler angles ZYX in degrees
+    description: str  # what would have to be said for that
+    base_from_flange: Array  # (views, 4, 4)
+
+
 @dataclass(frozen=True)
 class TargetSession:
     """Views in which the target was found, and the names of those in which it was not."""
@@ -38,6 +47,9 @@ class TargetSession:
     region: Region | None = None  # of the sensor that every image shows, where the recording states it
     left_out: dict[str, str] = field(default_factory=dict)  # pictures that were not searched, with the reason
     images: dict[str, Path] = field(default_factory=dict)  # by name of the view, where there are any
+    readings: tuple[
+        Reading, ...
+    ] = ()  # other ways to read the numbers of the poses, where they came from a file of another program
 
     @property
     def stand_from_mount(self) -> Array:
@@ -53,7 +65,9 @@ class TargetSession:
         names = [o.name for o in self.observations]
         rows = [names.index(o.name) for o in observations]
         joints = None if self.joints is None else self.joints[rows]
-        return replace(self, observations=tuple(observations), base_from_flange=self.base_from_flange[rows], joints=joints)
+        readings = tuple(replace(one, base_from_flange=one.base_from_flange[rows]) for one in self.readings)
+        chosen = {"observations": tuple(observations), "base_from_flange": self.base_from_flange[rows]}
+        return replace(self, **chosen, joints=joints, readings=readings)
 
 
 def grey(picture: NDArray[np.float32]) -> NDArray[np.float32]:

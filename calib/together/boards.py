@@ -118,7 +118,7 @@ def _pooled(sessions: Sequence[TargetSession]) -> TargetSession:
         for observation in session.observations
     ]
     flanges = np.concatenate([session.base_from_flange for session in sessions])
-    return replace(sessions[0], observations=tuple(every), base_from_flange=flanges, joints=None)
+    return replace(sessions[0], observations=tuple(every), base_from_flange=flanges, joints=None, readings=())
 
 
 def _alone(session: TargetSession, camera: Calibration, accuracy: Accuracy) -> Solution | None:
