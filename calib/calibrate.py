@@ -133,7 +133,7 @@ def solve(session: TargetSession, given: Calibration | None = None, accuracy: Ac
     boards = estimate.camera_from_boards(first.camera, first.session.observations)
     misread.explain(first.session, boards)
     names = [observation.name for observation in first.session.observations]
-    order.explain(first.session.stand_from_mount, flips.readings(first.session, boards), names)
+    order.explain(first.session.stand_from_mount, flips.readings(first.session, boards), names, list(session.images) or None)
     chosen, boards = flips.resolve(first.session, boards)
     first = replace(first, session=chosen)
     closed, keep = _closed_form(first.session, boards)

@@ -30,7 +30,7 @@ def explain(session: TargetSession, camera_from_board: Array) -> None:
 
 
 def recognise(session: TargetSession, camera_from_board: Array) -> Reading | None:
-    """The reading by which the arm's poses and (views, 4, 4) poses of the board agree many times better than as given, or None."""
+    """The reading by which arm and (views, 4, 4) poses of the board agree many times better than as given; None without one."""
     if len(camera_from_board) < 3:
         return None
     cameras = [angles_between(camera_from_board, other) for other in flips.readings(session, camera_from_board)]
