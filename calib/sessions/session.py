@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from koala3d.calib.arrays import Array, Mask
 from koala3d.calib.errors import TargetError
+from koala3d.calib.targets import inner_corners
 from koala3d.calib.targets.detection import Observation, detect, read_board
 from koala3d.datasets import pose
 from koala3d.datasets.core import files
@@ -106,8 +107,13 @@ def observe(
             observations.append(observation)
             poses.append(base_from_flange)
         seen(f"view {name}: {0 if observation is None else len(observation.ids)} corners")
+    if board.kind == "chessboard" and len(observations) < inner_corners.NEARLY_NONE * len(views):
+        without = [image for name, image, _ in views if name in unseen]
+        some = without[:: -(-len(without) // inner_corners.TRIED)]
+        inner_corners.explain(board, (grey(images.read(image)) for image in some))
     if size is None or not observations:
-        why, remedy = f"{len(views)} views searched for {describe(board)}", "check the board's description and the exposure"
+        why, counted = f"{len(views)} views searched for {describe(board)}", " (squares, not inner corners)" * board.is_checkered
+        remedy = f"check the board's description{counted} and the exposure"
         raise TargetError("calibration target is not in any view", why=why, remedy=remedy)
     found = TargetSession(board, size[1], size[0], tuple(observations), np.stack(poses), tuple(unseen), provenance or {})
     return replace(found, eye_to_hand=eye_to_hand, images={name: image for name, image, _ in views})
