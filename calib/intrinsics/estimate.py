@@ -8,6 +8,7 @@ for it. Corners and views with gross errors are left out.
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import cv2
@@ -34,6 +35,8 @@ MAX_FOCAL_STD = 0.03  # relative standard deviation above which the focal length
 MIN_TILT_RAD = float(np.deg2rad(6))
 """Views count as one direction if the rms angle between the target's normals and their mean is smaller."""
 OUTLIER = 6.0  # corners with larger residuals are left out [robust standard deviations]
+POOR_PX = 1.0  # an ordinary lens that leaves more than this may be a fisheye
+MAX_RMS_PX = 3.0  # a lens that leaves more than this describes something else than the camera
 _DIRECTIONS = "record views from more directions"
 _TILT = "tilt the target by 20 to 40 degrees in several directions and fill the image with it"
 _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
@@ -73,8 +76,24 @@ def calibrate(
     Raises:
         TargetError: too few views or corners, for a spline that is wanted always among them.
         Unobservable: the views do not determine the focal length (all look straight at the target).
-        CalibrationError: no fit was found.
+        CalibrationError: no fit was found, or none that leaves less than `MAX_RMS_PX`.
     """
+    found = _estimated(observations, width, height, lenses, spline)
+    fisheyes = [lens for lens in lenses if lens.fisheye]
+    if found.rms_px > POOR_PX and fisheyes and not found.camera.fisheye:  # from a start of its own: this one led astray
+        with suppress(KoalaError):
+            other = _estimated(observations, width, height, fisheyes, spline)
+            found = min(found, other, key=lambda one: one.held_out_px)
+    if found.rms_px > MAX_RMS_PX:
+        why, remedy = f"{found.rms_px:.2g} px rms are left", "check the description of the target and the kind of lens (--lens)"
+        raise CalibrationError("no lens fits the corners", why=why, remedy=remedy)
+    return found
+
+
+def _estimated(
+    observations: Sequence[Observation], width: int, height: int, lenses: Sequence[Lens], spline: Spline
+) -> Intrinsics:
+    """`calibrate` from the start that OpenCV finds for the first of `lenses`, however poor the result."""
     check_enough(observations)
     observations, left_out = screening.agreeing_with_plane(observations)
     check_enough(observations)
@@ -334,6 +353,8 @@ def _held_out(observations: Sequence[Observation], first: Camera, poses: Array, 
     count, failed = min(4, len(observations) // 2), np.full(len(observations), np.inf)
     squares, fold_of = failed.copy(), folds(len(observations), count)
     try:
+        if lens.fisheye:  # from poses by an ordinary lens, of views far off the axis, single views may not find to theirs
+            poses = fit(observations, first, poses, lens)[1].camera_from_board
         for fold in range(count):
             rest, unseen = ([o for i, o in enumerate(observations) if (fold_of[i] == fold) == held] for held in (False, True))
             camera, _ = fit(rest, first, poses[fold_of != fold], lens)
