@@ -13,6 +13,7 @@ from koala3d.calib.arrays import Array, Mask
 from koala3d.calib.errors import CalibrationError
 from koala3d.calib.handeye import (
     closed_forms,
+    credible,
     flatness,
     flips,
     links,
@@ -240,6 +241,7 @@ def described(solution: Solution, arm: repeating.Repeating, accuracy: Accuracy, 
         **surface.facts(measured, refined, covariance),
         **(links.facts(measured, refined, link_errors) if link_errors is not None else {}),
     )
+    credible.check(residuals, accuracy)
     provenance = {
         **session.provenance,
         "method": "hand-eye",
