@@ -25,6 +25,8 @@ def describe_calibration(calibration: Calibration) -> str:
     mark = RELAXED if calibration.residuals.allowed_mm else ""
     for title, value in calibration.poses.items():
         lines += _pose_lines(f"{title}{mark}", value)
+    if "folder" in calibration.provenance:
+        lines.append("flange              is the frame whose poses were imported: often the tool centre point (TCP)")
     camera, residuals = calibration.camera, calibration.residuals
     if calibration.link_errors is not None:
         lines += [f"{kind:<19} {values}" for kind, values in links.in_words(calibration.link_errors)]

@@ -61,6 +61,12 @@ def test_notes_name_signs_of_poses_that_are_wrong():
     assert summary.notes(CALIBRATION) == []
 
 
+def test_the_flange_of_an_imported_session_may_be_a_tool():
+    imported = replace(CALIBRATION, provenance={**CALIBRATION.provenance, "folder": "/data/session"})
+    assert "tool centre point (TCP)" in summary.describe_calibration(imported)
+    assert "TCP" not in summary.describe_calibration(CALIBRATION)
+
+
 def test_verification_names_the_worst_view():
     text = summary.describe_verification(Verification(0.3, 0.2, {"000": 0.1, "001": 0.5}, 80, "base", np.eye(4)))
     assert "0.300 px = 0.200 mm" in text and "001: 0.500 px" in text
