@@ -17,6 +17,7 @@ from koala3d.calib.sessions.session import Reading, TargetSession
 from koala3d.datasets import pose
 from koala3d.datasets.core.errors import KoalaError
 
+MOST_VIEWS = 30  # these are enough to tell readings apart
 LIKELY = 2.0
 """A reading is looked at if the median difference of the angles between views is within this factor of the smallest one."""
 
@@ -31,8 +32,10 @@ def explain(session: TargetSession, camera_from_board: Array) -> None:
 
 def recognise(session: TargetSession, camera_from_board: Array) -> Reading | None:
     """The reading by which arm and (views, 4, 4) poses of the board agree many times better than as given; None without one."""
-    if len(camera_from_board) < 3:
+    if not session.readings or len(camera_from_board) < 3:
         return None
+    some = np.unique(np.linspace(0, len(camera_from_board) - 1, MOST_VIEWS).astype(int))
+    session, camera_from_board = session.chosen(np.isin(np.arange(len(camera_from_board)), some)), camera_from_board[some]
     cameras = [angles_between(camera_from_board, other) for other in flips.readings(session, camera_from_board)]
     views = np.triu_indices(len(camera_from_board), 1)
 
@@ -41,7 +44,7 @@ def recognise(session: TargetSession, camera_from_board: Array) -> Reading | Non
         return float(np.median(np.min([np.abs(arm - camera) for camera in cameras], axis=0)[views]))
 
     angles = {reading: differ(reading.base_from_flange) for reading in session.readings}
-    limit = LIKELY * min(differ(session.base_from_flange), *angles.values()) if angles else 0.0
+    limit = LIKELY * min(differ(session.base_from_flange), *angles.values())
     likely = [reading for reading in angles if angles[reading] <= limit]
     scores = {reading: _disagreement(session, reading.base_from_flange, camera_from_board) for reading in likely}
     best = min(scores, key=lambda one: scores[one], default=None)

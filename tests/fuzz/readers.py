@@ -98,7 +98,7 @@ def _pictures(folder: Path, out: Path) -> None:
 
 
 def _session(folder: Path, out: Path) -> None:
-    for name in ("import", "by_yaml", "by_json"):
+    for name in ("import", "by_txt", "by_npy", "by_yaml", "by_json", "by_yml", "by_xml"):
         try:
             importer.import_session(folder, load_description(folder / f"{name}.yaml"))
         except TargetError:

@@ -8,12 +8,13 @@ from scipy.spatial.transform import Rotation
 
 from koala3d.calib.calibrate import calibrate_handeye
 from koala3d.calib.errors import CalibrationError
-from koala3d.calib.handeye import misread
+from koala3d.calib.handeye import flips, misread
 from koala3d.calib.intrinsics import estimate
 from koala3d.calib.sessions.description import SEQUENCES, Description
 from koala3d.calib.sessions.layouts import as_pose, other_readings
 from koala3d.calib.sessions.session import TargetSession
 from koala3d.datasets import pose
+from koala3d.datasets.targets.board import Board
 
 
 @pytest.fixture(scope="module")
@@ -62,6 +63,20 @@ def test_small_angles_are_told_apart(simulate, make_viewpoints):
         assert np.rad2deg(np.median(off)) < 6
         named = misread.recognise(session, boards)
         assert named is not None and named.kind == f"Euler angles {written} in degrees"
+
+
+def test_it_is_named_for_a_board_that_looks_the_same_upside_down(simulated):
+    """Every second view is read the other way round."""
+    session, boards = as_read(simulated, "ZYZ", "")
+    board = Board.of("chessboard", 9, 7, 0.03)
+    observations = [
+        replace(one, ids=np.arange(len(board.points)), pixels=np.zeros((len(board.points), 2)), points=board.points)
+        for one in session.observations
+    ]
+    session = replace(session, board=board, observations=tuple(observations))
+    turned = (np.arange(len(boards)) % 2 == 1)[:, None, None]
+    found = misread.recognise(session, np.where(turned, boards @ flips.half_turn(session), boards))
+    assert found is not None and found.kind == "Euler angles ZYZ in degrees"
 
 
 def test_a_rotation_vector_read_as_euler_angles_is_named(simulated):
