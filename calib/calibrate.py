@@ -28,7 +28,7 @@ from koala3d.calib.handeye import (
 )
 from koala3d.calib.handeye.model import Accuracy, Measurements, State
 from koala3d.calib.handeye.refine import Refined
-from koala3d.calib.intrinsics import estimate, lenses, projection, splined
+from koala3d.calib.intrinsics import estimate, fitting, lenses, projection, splined
 from koala3d.calib.intrinsics.prior import IntrinsicsPrior
 from koala3d.calib.sessions.session import TargetSession
 from koala3d.calib.targets import screening
@@ -66,7 +66,7 @@ def _intrinsics(session: TargetSession, lens: str) -> estimate.Intrinsics:
 
 def knots(camera: Camera, free: tuple[str, ...], session: TargetSession) -> IntrinsicsPrior | None:
     """What is assumed of the knots of a camera that are `free`; None where there are none."""
-    pixels = estimate.flat(session.observations).pixels
+    pixels = fitting.flat(session.observations).pixels
     return splined.prior(camera, free, pixels) if any(map(projection.is_knot, free)) else None
 
 

@@ -18,7 +18,7 @@ TIMES, MANY_TIMES = 10.0, 50.0
 """Times the stated error of a rotation from which on it is looked at, and from which on one more sign suffices."""
 LARGE_SHARE = 0.1
 """Share of corners left out that is such a sign; the other is that no error on unseen views could be found."""
-_REMEDY = "check how rotations are written (rotation vector, Euler angles and their axes, degrees) and which pose belongs to which picture"
+_REMEDY = "check how rotations are written (Euler angles, their axes, degrees) and which pose belongs to which picture"
 
 
 def check(residuals: Residuals, accuracy: Accuracy) -> None:

@@ -45,9 +45,11 @@ def _split(path: Path) -> tuple[list[str], list[list[str]]]:
     """The words of the header and of each line after it, as many as the header has."""
     text = files.read_text(path, MAX_BYTES, suffixes=(".csv",))
     lines = [line for line in text.splitlines() if line.strip(' \t;,"') and not line.lstrip(' "').startswith("#")]
+    stated = re.fullmatch('"?sep=([,;\t])"?', lines[0]) if lines else None  # a hint to Excel, which leaves it in the file
+    lines = lines[1:] if stated else lines
     if not lines:
         raise DatasetError("is empty", where=path, remedy="write a header and a line for each pose")
-    between = max(",;\t", key=lines[0].count)
+    between = stated[1] if stated else max(",;\t", key=lines[0].count)
     try:
         reader = csv.reader(io.StringIO("\n".join(lines), newline=""), delimiter=between, skipinitialspace=True)
         header, *rows = [[word.strip() for word in row] for row in reader]

@@ -19,7 +19,7 @@ from koala3d.calib.handeye.model import Accuracy, State
 from koala3d.calib.handeye.refine import Refined
 from koala3d.calib.handeye.surface import FLAT
 from koala3d.calib.intrinsics import estimate, projection
-from koala3d.calib.intrinsics.estimate import rms
+from koala3d.calib.intrinsics.fitting import rms
 from koala3d.calib.intrinsics.prior import IntrinsicsPrior
 from koala3d.calib.sessions.session import TargetSession
 from koala3d.calib.together import joining

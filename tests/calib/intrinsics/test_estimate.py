@@ -10,7 +10,7 @@ from koala3d.calib.advice.simulate import simulate as simulate_session
 from koala3d.calib.advice.simulate import target_session
 from koala3d.calib.errors import CalibrationError, TargetError, Unobservable
 from koala3d.calib.handeye.model import camera_points
-from koala3d.calib.intrinsics import estimate, lenses, projection
+from koala3d.calib.intrinsics import choice, estimate, lenses, projection
 from koala3d.calib.targets.detection import Observation
 from koala3d.datasets import pose
 from koala3d.datasets.camera_model import Camera
@@ -148,20 +148,20 @@ def test_a_short_session_does_not_make_a_fisheye_of_an_ordinary_lens():
         flown = viewpoints(rng, rig, 6, ViewRange((5.0, 45.0), (0.25, 0.5)))
         session = target_session(simulate_session(rng, rig, flown, sigma_px=0.1, arm=ARM))
         found = estimate.calibrate(session.observations, session.width, session.height)
-        assert estimate._worth_a_try(lenses.FISHEYE[0], found.camera, lenses.LENSES["auto"])
+        assert choice._worth_a_try(lenses.FISHEYE[0], found.camera, lenses.LENSES["auto"])
         chosen.append(found.camera.fisheye)
     assert not any(chosen)
 
 
 def test_a_gain_counts_if_views_agree_on_it():
     best = np.full(10, 1.0)
-    assert estimate._is_better(np.full(10, 0.98), best, another_kind=True)
-    assert not estimate._is_better(np.full(10, 0.9999), best, another_kind=False)  # below the least gain
+    assert choice._is_better(np.full(10, 0.98), best, another_kind=True)
+    assert not choice._is_better(np.full(10, 0.9999), best, another_kind=False)  # below the least gain
     luck = best.copy()
     luck[0] = 0.5  # one view alone is better
-    assert not estimate._is_better(luck, best, another_kind=True)
-    assert not estimate._is_better(np.full(10, np.inf), best, another_kind=False)
-    assert estimate._is_better(best, np.full(10, np.inf), another_kind=True)
+    assert not choice._is_better(luck, best, another_kind=True)
+    assert not choice._is_better(np.full(10, np.inf), best, another_kind=False)
+    assert choice._is_better(best, np.full(10, np.inf), another_kind=True)
 
 
 def test_a_fisheye_can_be_asked_for(simulate):

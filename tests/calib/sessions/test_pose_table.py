@@ -27,6 +27,7 @@ KINDS = {
     "semicolons and decimal commas": GERMAN,
     "all of it": codecs.BOM_UTF8 + GERMAN + b";;;;;;\r\n",
     "Unicode text of Excel": codecs.BOM_UTF16_LE + ENGLISH.decode().replace(",", "\t").encode("utf-16-le"),
+    "hint to Excel": b"sep=;\r\n" + GERMAN,
     "tabs and decimal commas": GERMAN.replace(b";", b"\t"),
     "quoted decimal commas": b'image,x,y,z,rx,ry,rz\nb.png,"0,1","-0,25","0,5","1,5",0,"-0,02"\n'
     b'a.png,"0,3","0,2","0,5","0,1",1E-05,2\n',
