@@ -17,9 +17,8 @@ from koala3d.calib.sessions.session import Reading, TargetSession
 from koala3d.datasets import pose
 from koala3d.datasets.core.errors import KoalaError
 
-BETTER = (
-    2.0  # factor by which a reading must improve the agreement of the views; no right one of 800 simulated sessions was doubted
-)
+BETTER = 2.0
+"""Factor by which a reading must improve the agreement of the views: no right one of 800 simulated sessions was doubted."""
 MOST_VIEWS = 30  # these are enough to tell readings apart
 LIKELY = 2.0
 """A reading is looked at if the median difference of the angles between views is within this factor of the smallest one."""

@@ -126,8 +126,9 @@ class Description(Schema):
     @property
     def columns(self) -> list[str]:
         """Name of each number of a pose, as the header of a CSV file has it."""
-        matrix = [f"m{row}{column}" for row in range(4) for column in range(4)]
-        return matrix if "matrix" in self.layout else self.layout.split()
+        if "matrix" in self.layout:
+            return [f"m{row}{column}" for row in range(4) for column in range(4)]
+        return [*self.layout.split()]
 
 
 def load_description(description: Path) -> Description:
