@@ -15,6 +15,7 @@ from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import DatasetError, UsageError, nearest
 
 MAX_BYTES = 2**24
+LENGTHS = ("x", "y", "z", "m03", "m13", "m23")
 _UNIT = re.compile(r"(?P<name>.+?)(?:[ _]+(?P<bare>mm|cm|m|deg|rad)|[ _]*[\[(](?P<framed>[^\])]*)[\])])")
 _KNOWN_UNITS = {"°": "deg", "degree": "deg", "degrees": "deg", "radian": "rad", "radians": "rad"}
 
@@ -76,7 +77,7 @@ def _column(title: str, description: Description, path: Path) -> str:
     if name not in description.columns:
         return title
     unit = _KNOWN_UNITS.get(unit, unit)
-    key, valid = ("length", ("m", "mm")) if name in "xyz" else ("angle", ("rad", "deg"))
+    key, valid = ("length", ("m", "mm")) if name in LENGTHS else ("angle", ("rad", "deg"))
     if unit != (stated := getattr(description, key)):
         remedy = f"say {key}: {unit} in the description" if unit in valid else f"possible are {' and '.join(valid)}"
         raise UsageError(

@@ -84,5 +84,9 @@ def test_a_matrix_may_lack_its_last_row(tmp_path):
     assert [len(row) for row in read(tmp_path, upper, layout="matrix")] == [12]
     whole = ",".join(names).encode() + b"\n" + b",".join([b"1"] * 16) + b"\n"
     assert [len(row) for row in read(tmp_path, whole, layout="matrix")] == [16]
+    millimetres = whole.replace(b"m03,", b"m03_mm,")
+    assert len(read(tmp_path, millimetres, layout="matrix", length="mm")) == 1
+    with pytest.raises(UsageError, match=r"'m03_mm' has another unit.*say length: mm"):
+        read(tmp_path, millimetres, layout="matrix")
     with pytest.raises(KoalaError, match="no column 'm33'"):
         read(tmp_path, ",".join(names[:15]).encode() + b"\n" + b",".join([b"1"] * 15) + b"\n", layout="matrix")
