@@ -100,7 +100,10 @@ def test_a_target_file_of_kalibr_is_read() -> None:
             {"target_type": "checkerboard", "targetCols": 6, "targetRows": 7, "rowSpacingMeters": 0.06, "colSpacingMeters": 0.05},
             "squares must be square",
         ),
-        ({"target_type": "aprilgrid", "tagCols": 2.5, "tagRows": 6, "tagSize": 0.088, "tagSpacing": 0.3}, "tagCols and tagRows are whole numbers: 2.5 and 6"),
+        (
+            {"target_type": "aprilgrid", "tagCols": 2.5, "tagRows": 6, "tagSize": 0.088, "tagSpacing": 0.3},
+            "tagCols and tagRows are whole numbers: 2.5 and 6",
+        ),
     ],
 )
 def test_other_targets_of_kalibr_are_refused(content: dict[str, object], message: str) -> None:
