@@ -23,18 +23,27 @@ def read_lines(path: Path, description: Description, images: Collection[str]) ->
     text = files.read_text(path, MAX_BYTES, suffixes=(".txt",))
     lines = [re.split(r"[,;\s]+", line) for part in text.splitlines() if (line := part.partition("#")[0].strip(" \t,;\r"))]
     widths, sizes = sorted({len(line) for line in lines}), _sizes(description)
+    labels = 1 if len(widths) == 1 and widths[0] not in sizes and widths[0] - 1 in sizes else 0
+    if words := next((line for line in lines if not all(map(_is_number, line[labels:]))), None):
+        why, remedy = " ".join(words)[:60], "begin lines that are no poses with #"
+        raise DatasetError("line is not made of numbers", where=path, why=why, remedy=remedy)
     if len(widths) == 1 and widths[0] in sizes:
         return lines
-    if len(widths) == 1 and widths[0] - 1 in sizes and _are_labelled(lines, description):
-        by_name = {line[0]: line[1:] for line in lines}
-        if len(by_name) < len(lines):
-            raise DatasetError("two lines begin with one name", where=path)
-        return by_name if not all(map(_is_number, by_name)) or set(by_name) & set(images) else list(by_name.values())
+    if labels and _are_labelled(lines, description):
+        return _by_label(lines, images, path)
     if widths == [4] and "matrix" in description.layout and (blocks := _blocks(lines, description)):
         return blocks
-    have = f"lines have {' to '.join(map(str, (widths[0], widths[-1])[: len(widths)]))} numbers" if widths else "it is empty"
-    remedy = f"layout {description.layout!r} has {' or '.join(map(str, sizes))} numbers; begin lines that are no poses with #"
-    raise DatasetError("does not hold such poses", where=path, why=have, remedy=remedy)
+    why = f"lines have {' to '.join(map(str, dict.fromkeys((widths[0], widths[-1]))))} numbers" if widths else "it is empty"
+    remedy = f"layout {description.layout!r} has {' or '.join(map(str, sizes))} numbers"
+    raise DatasetError("does not hold such poses", where=path, why=why, remedy=remedy)
+
+
+def _by_label(lines: list[list[str]], images: Collection[str], path: Path) -> dict[str, Any] | list[Any]:
+    """Numbers by the first word of each line; in order if these are times and no names of images."""
+    found = {line[0]: line[1:] for line in lines}
+    if len(found) < len(lines):
+        raise DatasetError("two lines begin with one name", where=path)
+    return found if not all(map(_is_number, found)) or set(found) & set(images) else list(found.values())
 
 
 def read_npy(path: Path, description: Description) -> list[Any]:
@@ -65,7 +74,7 @@ def _blocks(lines: list[list[str]], description: Description) -> list[list[str]]
     """The numbers of matrices that follow each other, of four rows or three; nothing if lines are left over."""
     rows = 4
     if description.layout == "matrix" and len(lines) % 3 == 0:
-        last = [list(map(float, line)) for line in lines[3::4] if all(map(_is_number, line))]
+        last = [list(map(float, line)) for line in lines[3::4]]
         rows = 4 if len(lines) % 4 == 0 and all(line == [0, 0, 0, 1] for line in last) else 3
     if len(lines) % rows:
         return []

@@ -70,7 +70,9 @@ def test_lines_may_begin_with_the_name_of_the_image(tmp_path):
     ("text", "layout", "words"),
     [
         ("1 2 3 4 5 6 7\n1 2 3 4 5 6 7\n", "x y z rx ry rz", r"lines have 7 numbers.*has 6 numbers"),
-        ("x y z\n1 2 3 4 5 6\n", "x y z rx ry rz", "lines have 3 to 6 numbers.*begin lines that are no poses with #"),
+        ("x y z rx ry rz\n1 2 3 4 5 6\n", "x y z rx ry rz", r"not made of numbers \(x y z rx ry rz\); begin lines that are no"),
+        ("image x y z rx ry rz\na 1 2 3 4 5 6\n", "x y z rx ry rz", "not made of numbers"),
+        ("0,1 0,2 3 4 5 6\n1 2 3 4 5 6\n", "x y z rx ry rz", "lines have 6 to 8 numbers"),
         ("1 2 3 4\n" * 5, "matrix", "lines have 4 numbers"),
         ("# nothing\n", "matrix", "it is empty"),
         ("a 1 2 3 4 5 6\na 1 2 3 4 5 6\n", "x y z rx ry rz", "two lines begin with one name"),
