@@ -13,9 +13,11 @@ from koala3d.calib.arrays import Array, Mask
 from koala3d.calib.errors import CalibrationError
 from koala3d.calib.handeye import (
     closed_forms,
+    credible,
     flatness,
     flips,
     links,
+    misread,
     mistakes,
     order,
     outliers,
@@ -26,7 +28,7 @@ from koala3d.calib.handeye import (
 )
 from koala3d.calib.handeye.model import Accuracy, Measurements, State
 from koala3d.calib.handeye.refine import Refined
-from koala3d.calib.intrinsics import estimate, lenses, projection, splined
+from koala3d.calib.intrinsics import estimate, fitting, lenses, projection, splined
 from koala3d.calib.intrinsics.prior import IntrinsicsPrior
 from koala3d.calib.sessions.session import TargetSession
 from koala3d.calib.targets import screening
@@ -64,7 +66,7 @@ def _intrinsics(session: TargetSession, lens: str) -> estimate.Intrinsics:
 
 def knots(camera: Camera, free: tuple[str, ...], session: TargetSession) -> IntrinsicsPrior | None:
     """What is assumed of the knots of a camera that are `free`; None where there are none."""
-    pixels = estimate.flat(session.observations).pixels
+    pixels = fitting.flat(session.observations).pixels
     return splined.prior(camera, free, pixels) if any(map(projection.is_knot, free)) else None
 
 
@@ -130,8 +132,9 @@ def solve(session: TargetSession, given: Calibration | None = None, accuracy: Ac
     links.check(session, accuracy)
     first = first_stage(session, given, lens)
     boards = estimate.camera_from_boards(first.camera, first.session.observations)
+    misread.explain(first.session, boards)
     names = [observation.name for observation in first.session.observations]
-    order.explain(first.session.stand_from_mount, flips.readings(first.session, boards), names)
+    order.explain(first.session.stand_from_mount, flips.readings(first.session, boards), names, list(session.images) or None)
     chosen, boards = flips.resolve(first.session, boards)
     first = replace(first, session=chosen)
     closed, keep = _closed_form(first.session, boards)
@@ -238,6 +241,7 @@ def described(solution: Solution, arm: repeating.Repeating, accuracy: Accuracy, 
         **surface.facts(measured, refined, covariance),
         **(links.facts(measured, refined, link_errors) if link_errors is not None else {}),
     )
+    credible.check(residuals, accuracy)
     provenance = {
         **session.provenance,
         "method": "hand-eye",

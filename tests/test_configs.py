@@ -33,7 +33,7 @@ def loader(folder: str) -> Callable[[Path], Any]:
 
         return load_arm
     if folder == "imports":
-        from koala3d.calib.sessions.importer import load_description
+        from koala3d.calib.sessions.description import load_description
 
         return load_description
     if folder == "models":

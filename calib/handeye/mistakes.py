@@ -29,7 +29,7 @@ def _orientations(given: Array) -> dict[str, Array]:
     transposed = pose.rigid(np.swapaxes(given[:, :3, :3], 1, 2), given[:, :3, 3])
     found = {
         "": given,
-        "the arm's poses are inverse (flange_from_base instead of stand_from_mount)": pose.inverse(given),
+        "the arm's poses are inverse (flange_from_base instead of base_from_flange)": pose.inverse(given),
         "the arm's rotations are transposed (columns read as rows)": transposed,
         "quaternions are x y z w, but were read as w x y z": _turned(given, np.roll(quaternions, 1, -1)),
         "quaternions are w x y z, but were read as x y z w": _turned(given, np.roll(quaternions, -1, -1)),
@@ -40,7 +40,7 @@ def _orientations(given: Array) -> dict[str, Array]:
     return found
 
 
-_LENGTHS = {
+LENGTHS = {
     "": 1.0,
     "the arm's positions are in millimetres, not metres": 1e-3,
     "lengths of arm and target differ by a factor of 1000: the target is in mm, or the arm's positions were divided by 1000": 1e3,
@@ -57,20 +57,20 @@ def explain(stand_from_mount: Array, camera_from_board: Array) -> None:
 
 def recognise(stand_from_mount: Array, camera_from_board: Array) -> str:
     """The mistake that explains best why (views, 4, 4) poses as given and as seen disagree, in words; empty if there is none."""
-    given = _disagreement(stand_from_mount, camera_from_board)
+    given = disagreement(stand_from_mount, camera_from_board)
     if given < POOR:
         return ""
     scores = {}
-    for (words, poses), (length_words, factor) in product(_orientations(stand_from_mount).items(), _LENGTHS.items()):
+    for (words, poses), (length_words, factor) in product(_orientations(stand_from_mount).items(), LENGTHS.items()):
         if words or length_words:
             scaled = pose.rigid(poses[:, :3, :3], factor * poses[:, :3, 3])
-            scores["; and ".join(w for w in (words, length_words) if w)] = _disagreement(scaled, camera_from_board)
+            scores["; and ".join(w for w in (words, length_words) if w)] = disagreement(scaled, camera_from_board)
     # the simplest first: a combination must be better still
     best = min(scores, key=lambda words: scores[words] * (1 + words.count("; and ")))
     return best if scores[best] * BETTER < given and scores[best] < FITS else ""
 
 
-def _disagreement(stand_from_mount: Array, camera_from_board: Array) -> float:
+def disagreement(stand_from_mount: Array, camera_from_board: Array) -> float:
     """Median disagreement of the views about the board's place, the arm's travel being 1 (and half a radian of rotation)."""
     scale = max(1e-9, *(np.linalg.norm(np.ptp(poses[:, :3, 3], axis=0)) for poses in (stand_from_mount, camera_from_board)))
     best = np.inf

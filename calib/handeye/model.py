@@ -28,7 +28,7 @@ import numpy as np
 from koala3d.calib.arrays import Array, Indices, Mask
 from koala3d.calib.errors import CalibrationError
 from koala3d.calib.handeye import surface
-from koala3d.calib.intrinsics import estimate, projection
+from koala3d.calib.intrinsics import fitting, projection
 from koala3d.calib.intrinsics.prior import IntrinsicsPrior
 from koala3d.calib.intrinsics.projection import PLAIN, Form
 from koala3d.calib.sessions.session import TargetSession
@@ -163,7 +163,7 @@ def measured(
     """All corners of a target session in one list."""
     extent = surface.extent_of(session.board.points)
     options = (tuple(free), known, accuracy, form, session.eye_to_hand, session.joints, session.links, extent)
-    return Measurements(session.base_from_flange, *estimate.flat(session.observations), *options)
+    return Measurements(session.base_from_flange, *fitting.flat(session.observations), *options)
 
 
 @dataclass(frozen=True)

@@ -26,25 +26,32 @@ FEWEST = 6
 Order = NDArray[np.intp]
 
 
-def explain(stand_from_mount: Array, readings: Sequence[Array], names: Sequence[str]) -> None:
+def explain(
+    stand_from_mount: Array, readings: Sequence[Array], names: Sequence[str], listed: Sequence[str] | None = None
+) -> None:
     """Raise a CalibrationError that names the view from which on lists are out of step, if that is why views disagree.
 
     Args:
         readings: (views, 4, 4) camera_from_board, once for each way in which the board may have been read.
+        names: of these views.
+        listed: names of all pictures that were searched, in order; those of the views are among them. Default: `names`.
     """
-    found = recognise(stand_from_mount, readings, names)
+    found = recognise(stand_from_mount, readings, names, listed)
     if found:
         raise CalibrationError("pictures and arm poses do not fit together", why=found, remedy="correct the list and run again")
 
 
-def recognise(stand_from_mount: Array, readings: Sequence[Array], names: Sequence[str]) -> str:
+def recognise(
+    stand_from_mount: Array, readings: Sequence[Array], names: Sequence[str], listed: Sequence[str] | None = None
+) -> str:
     """The mistake in the order of views that explains why some disagree, in words; empty where none does. See `explain`."""
     arm, cameras = angles_between(stand_from_mount), [angles_between(readings[0], other) for other in readings]
     every = np.arange(len(names))
     if len(names) < FEWEST or not (suspects := np.flatnonzero(_agreement_of_views(arm, cameras) < SUSPECT)).size:
         return ""
     best, words = EXPLAINS, ""
-    for pictures, poses, said in _hypotheses(every, suspects, names):
+    by_characters = _by_characters(names, listed or names)
+    for pictures, poses, said in (*by_characters, *_hypotheses(every, suspects, names)):
         chosen = [camera[np.ix_(pictures, pictures)] for camera in cameras]
         share = _agreement_of_views(arm[np.ix_(poses, poses)], chosen).mean()
         if share > best:
@@ -64,6 +71,16 @@ def _agreement_of_views(arm: Array, cameras: Sequence[Array]) -> Array:
     alike = np.any([np.abs(arm - camera) < ALIKE for camera in cameras], axis=0)
     np.fill_diagonal(alike, True)
     return (alike.sum(1) - 1) / (len(alike) - 1)
+
+
+def _by_characters(names: Sequence[str], listed: Sequence[str]) -> list[tuple[Order, Order, str]]:
+    """The mistake that the poses are in the order of the pictures' names by characters, as `_hypotheses` has it, if possible."""
+    place = {name: number for number, name in enumerate(names)}
+    pairs = [(place[own], place[given]) for own, given in zip(sorted(listed), listed, strict=True) if {own, given} <= set(place)]
+    if sorted(listed) == list(listed) or len(pairs) < FEWEST:
+        return []
+    pictures, poses = np.array(pairs).T
+    return [(pictures, poses, "the poses are in the order of the pictures' names by characters (10 before 2), not by numbers")]
 
 
 def _hypotheses(every: Order, suspects: Order, names: Sequence[str]) -> Iterator[tuple[Order, Order, str]]:

@@ -24,6 +24,7 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
 
 from koala3d.calib.arrays import Array
+from koala3d.calib.errors import Unobservable
 from koala3d.calib.handeye import links
 from koala3d.calib.handeye.refine import PRIOR_VIEWS, Problem, Refined, S, Sigmas, linear_system
 from koala3d.datasets import kinematics
@@ -139,8 +140,18 @@ class _Views:
 
 
 def estimate(session: Posed[S], refined: Refined[S]) -> Repeating:
-    """The arm's errors in the views of a refinement whose covariance exists, and the covariance with errors that repeat."""
-    views, sigmas = _views(session, refined), refined.sigmas
+    """The arm's errors in the views of a refinement, and the covariance with errors that repeat.
+
+    Raises Unobservable where the views leave something undetermined.
+    """
+    try:
+        return _estimated(_views(session, refined), refined.sigmas)
+    except np.linalg.LinAlgError:
+        why, remedy = f"{len(refined.state.corrections)} views", "add views that are tilted by 20 degrees and more about two axes"
+        raise Unobservable("errors of the arm and the hand-eye pose are not observable", why=why, remedy=remedy) from None
+
+
+def _estimated(views: _Views, sigmas: Sigmas) -> Repeating:
     tried: list[tuple[float, Array, float]] = []
     stop = np.array([sigmas.translation_m, sigmas.rotation_rad])
     for scale in SCALES if views.repeating.any() else SCALES[:1]:

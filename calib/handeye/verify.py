@@ -12,7 +12,7 @@ from koala3d.calib.handeye import closed_forms, model, surface
 from koala3d.calib.handeye.model import Accuracy, Measurements, State, camera_points, predict
 from koala3d.calib.handeye.refine import Refined, fit_board, refine
 from koala3d.calib.intrinsics import estimate, projection
-from koala3d.calib.intrinsics.estimate import rms
+from koala3d.calib.intrinsics.fitting import rms
 from koala3d.calib.sessions.session import TargetSession
 from koala3d.datasets.calibration import Calibration
 from koala3d.datasets.camera_model import Camera

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from koala3d.calib.arrays import Array
-from koala3d.calib.intrinsics import estimate, over_image
+from koala3d.calib.intrinsics import fitting, over_image
 from koala3d.calib.intrinsics.lenses import Lens
 from koala3d.calib.intrinsics.over_image import Map
 from koala3d.calib.targets.detection import Observation
@@ -23,7 +23,7 @@ def cross_validate(camera: Camera, lens: Lens, observations: Sequence[Observatio
 
     The fits start from `camera` and the (views, 4, 4) poses `camera_from_board`.
     """
-    halves = [estimate.fit(observations[half::2], camera, camera_from_board[half::2], lens)[0] for half in (0, 1)]
+    halves = [fitting.fit(observations[half::2], camera, camera_from_board[half::2], lens)[0] for half in (0, 1)]
     return difference(halves[0], halves[1])
 
 

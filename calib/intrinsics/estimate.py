@@ -1,41 +1,35 @@
 """Intrinsics from views of a flat target (Zhang 2000), with as many coefficients as the views support.
 
-OpenCV finds a start. Each candidate lens is then fitted to some views by least squares and judged on the others, of which
-only the poses are fitted. The usual lens has k1 k2 p1 p2; another must lower the held-out error, and by more than views differ
-by chance. (If fewer coefficients were the rule, one session in twenty would omit one for lack of views and give a principal
-point several deviations off.) A splined lens (`calib.intrinsics.splined`) must do so as well, after a test whether corners ask
-for it. Corners and views with gross errors are left out.
+OpenCV finds a start. Corners and views with gross errors are left out, a lens is chosen (`calib.intrinsics.choice`) and fitted to
+all views (`calib.intrinsics.fitting`). If an ordinary lens leaves much, a fisheye is tried from a start of its own.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from contextlib import suppress
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
-from scipy.stats import t as student
 
 from koala3d.calib.arrays import Array
 from koala3d.calib.errors import CalibrationError, TargetError, Unobservable
-from koala3d.calib.intrinsics import bundle, projection, splined
-from koala3d.calib.intrinsics.lenses import BROWN, EVERY, FISHEYE, USUAL, Lens, Spline
+from koala3d.calib.intrinsics import bundle, choice, projection
+from koala3d.calib.intrinsics.fitting import DIRECTIONS, TILT, fit, flat, rms
+from koala3d.calib.intrinsics.lenses import EVERY, FISHEYE, USUAL, Lens, Spline
 from koala3d.calib.targets import screening
 from koala3d.calib.targets.detection import Observation
 from koala3d.datasets import conventions, pose
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core.errors import KoalaError
-from koala3d.datasets.splits import folds
 
 MIN_VIEWS = 5
 MIN_TOTAL_CORNERS = 100
-GAIN = 0.002  # share by which another lens must lower the held-out error to be chosen
-CHANCE, FISHEYE_CHANCE = 0.16, 0.025
-"""How often the gain of another lens, or of a fisheye beside an ordinary one, may be one that views show by chance."""
 MAX_FOCAL_STD = 0.03  # relative standard deviation above which the focal length counts as not observable
 MIN_TILT_RAD = float(np.deg2rad(6))
 """Views count as one direction if the rms angle between the target's normals and their mean is smaller."""
 OUTLIER = 6.0  # corners with larger residuals are left out [robust standard deviations]
-_DIRECTIONS = "record views from more directions"
-_TILT = "tilt the target by 20 to 40 degrees in several directions and fill the image with it"
+POOR_PX = 1.0  # an ordinary lens that leaves more than this may be a fisheye
+MAX_RMS_PX = 3.0  # a lens that leaves more than this describes something else than the camera
 _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
 
 
@@ -73,17 +67,33 @@ def calibrate(
     Raises:
         TargetError: too few views or corners, for a spline that is wanted always among them.
         Unobservable: the views do not determine the focal length (all look straight at the target).
-        CalibrationError: no fit was found.
+        CalibrationError: no fit was found, or none that leaves less than `MAX_RMS_PX`.
     """
+    found = _estimated(observations, width, height, lenses, spline)
+    fisheyes = [lens for lens in lenses if lens.fisheye]
+    if found.rms_px > POOR_PX and fisheyes and not found.camera.fisheye:  # from a start of its own: this one led astray
+        with suppress(KoalaError):
+            other = _estimated(observations, width, height, fisheyes, spline)
+            found = min(found, other, key=lambda one: one.held_out_px)
+    if found.rms_px > MAX_RMS_PX:
+        why, remedy = f"{found.rms_px:.2g} px rms are left", "check the description of the target and the kind of lens (--lens)"
+        raise CalibrationError("no lens fits the corners", why=why, remedy=remedy)
+    return found
+
+
+def _estimated(
+    observations: Sequence[Observation], width: int, height: int, lenses: Sequence[Lens], spline: Spline
+) -> Intrinsics:
+    """`calibrate` from the start that OpenCV finds for the first of `lenses`, however poor the result."""
     check_enough(observations)
     observations, left_out = screening.agreeing_with_plane(observations)
     check_enough(observations)
     first, poses = _start(observations, width, height, lenses[0].fisheye)
     observations, poses, more = _without_outliers(observations, first, poses, lenses, may_be_splined=spline != "never")
     check_enough(observations)
-    chosen, squares = _choice(observations, first, poses, lenses)
+    chosen, squares = choice.choose(observations, first, poses, lenses)
     if spline != "never":
-        chosen, squares = _with_knots(observations, first, poses, chosen, squares, asked=spline == "if better")
+        chosen, squares = choice.with_knots(observations, first, poses, chosen, squares, asked=spline == "if better")
     held_out_px = float(np.sqrt(squares.sum() / sum(len(o.ids) for o in observations)))
     return _finished(observations, first, poses, chosen, held_out_px, {**left_out, **more})
 
@@ -101,71 +111,12 @@ def _finished(
     relative = np.sqrt(np.diag(covariance)[:2]) / [camera.fx, camera.fy]
     if not relative.max() <= MAX_FOCAL_STD:
         why = f"its standard deviation is {relative.max():.1%} of it"
-        raise Unobservable("focal length is not observable", why=why, remedy=_TILT)
+        raise Unobservable("focal length is not observable", why=why, remedy=TILT)
     view = flat(observations)[0]
     by_view = {o.name: rms(fitted.residuals[view == i]) for i, o in enumerate(observations)}
     errors = rms(fitted.residuals), held_out_px, by_view
     seen, boards = coverage(observations, camera.width, camera.height), fitted.camera_from_board
     return Intrinsics(camera, lens, covariance, *errors, seen, boards, tuple(observations), left_out)
-
-
-def _choice(observations: Sequence[Observation], first: Camera, poses: Array, lenses: Sequence[Lens]) -> tuple[Lens, Array]:
-    """The lens that predicts unseen views best, and its errors as by `_held_out`.
-
-    More and fewer coefficients are tried while that helps.
-    """
-    chosen = USUAL if USUAL in lenses else lenses[0]
-    best = _held_out(observations, first, poses, chosen)
-    usual = lenses.index(chosen)
-    straight = [[lens for lens in part if not lens.fisheye] for part in (lenses[usual + 1 :], lenses[:usual][::-1])]
-    for ladder in (*straight, [lens for lens in lenses if lens.fisheye and lens != chosen]):
-        for lens in ladder:
-            if not _worth_a_try(lens, first, lenses):
-                break
-            squares = _held_out(observations, first, poses, lens)
-            if _is_better(squares, best, another_kind=lens.fisheye != chosen.fisheye):
-                chosen, best = lens, squares
-            elif not lens.fisheye:
-                break
-    return chosen, best
-
-
-def _with_knots(
-    observations: Sequence[Observation], first: Camera, poses: Array, lens: Lens, best: Array, *, asked: bool
-) -> tuple[Lens, Array]:
-    """`lens` with knots, and its errors as by `_held_out`; if `asked`, only where corners ask for knots and unseen views gain."""
-    count = sum(len(o.ids) for o in observations)
-    if asked and count < splined.MIN_CORNERS:
-        return lens, best
-    base = USUAL if lens in BROWN and set(lens.coefficients) < set(USUAL.coefficients) else lens
-    camera, fitted = fit(observations, first, poses, base)
-    camera, sigma_px = splined.flat(camera, count), float(np.sqrt(fitted.variance))
-    corners, boards = flat(observations), fitted.camera_from_board
-    if asked and not splined.asked_for(corners, camera, boards, base.free, sigma_px):
-        return lens, best
-    knotted = replace(base, grid=projection.form(camera).grid)
-    squares = _held_out(observations, first, poses, knotted)
-    if not asked and not np.isfinite(squares).all():
-        raise CalibrationError("splined lens cannot be fitted", why="parts of the views do not allow it", remedy=_DIRECTIONS)
-    return (knotted, squares) if not asked or _is_better(squares, best, another_kind=True) else (lens, best)
-
-
-def _is_better(squares: Array, best: Array, another_kind: bool) -> bool:
-    """Whether (views,) sums of squared held-out errors are lower than the best so far, by more than these differ by chance.
-
-    The gain is compared with its differences between views (paired Student's test).
-    """
-    if not (np.isfinite(best).all() and np.isfinite(squares).all()):
-        return bool(np.isfinite(squares).all())
-    gained, chance = best - squares, FISHEYE_CHANCE if another_kind else CHANCE
-    margin = float(student.isf(chance, len(gained) - 1)) * np.sqrt(len(gained)) * np.std(gained, ddof=1)
-    return bool(squares.sum() < (1 - GAIN) ** 2 * best.sum() and gained.sum() > margin)
-
-
-def _worth_a_try(lens: Lens, first: Camera, lenses: Sequence[Lens]) -> bool:
-    """Fisheyes are tried on request, and for images that reach 35 degrees and more off the axis."""
-    reach = np.hypot(first.width, first.height) / 2 / min(first.fx, first.fy)
-    return not lens.fisheye or all(other.fisheye for other in lenses) or reach > np.tan(np.deg2rad(35))
 
 
 def check_enough(observations: Sequence[Observation], least: int = MIN_TOTAL_CORNERS, views: int = MIN_VIEWS) -> None:
@@ -187,7 +138,7 @@ def _check_directions(camera_from_board: Array) -> None:
     spread = np.sqrt(np.mean(np.arccos(np.clip(normals @ mean, -1, 1)) ** 2))
     if spread < MIN_TILT_RAD:
         why = f"the target is tilted by {np.rad2deg(spread):.2g} deg only"
-        raise Unobservable("focal length is not observable", why=why, remedy=_TILT)
+        raise Unobservable("focal length is not observable", why=why, remedy=TILT)
 
 
 def camera_from_boards(camera: Camera, observations: Sequence[Observation]) -> Array:
@@ -197,8 +148,8 @@ def camera_from_boards(camera: Camera, observations: Sequence[Observation]) -> A
     """
     found = [_planar_poses(camera, observation) for observation in observations]
     fits = []
-    for choice in (0, -1):
-        starts = np.stack([poses[choice] for poses in found])
+    for which in (0, -1):
+        starts = np.stack([poses[which] for poses in found])
         fits.append(bundle.fit(flat(observations), projection.vector(camera), starts, form=projection.form(camera)))
     view = flat(observations)[0]
     squares = [np.bincount(view, (f.residuals**2).sum(-1), len(observations)) for f in fits]
@@ -232,44 +183,6 @@ def coverage(observations: Sequence[Observation], width: int, height: int) -> fl
     return len(np.unique(cells, axis=0)) / 64
 
 
-def flat(observations: Sequence[Observation]) -> bundle.Corners:
-    """The corners of all views in one list."""
-    view = np.repeat(np.arange(len(observations)), [len(o.ids) for o in observations])
-    pixels, points = (np.concatenate(parts) for parts in zip(*((o.pixels, o.points) for o in observations), strict=True))
-    return bundle.Corners(view, pixels, points)
-
-
-def fit(observations: Sequence[Observation], first: Camera, poses: Array, lens: Lens) -> tuple[Camera, bundle.Bundle]:
-    """Camera with the coefficients of `lens` and the poses of all views, from a start. Raises CalibrationError, Unobservable."""
-    start = projection.vector(first)
-    if first.fisheye != lens.fisheye or set(lens.coefficients) < {"k1", "k2", "p1", "p2"}:
-        start[4:] = 0.0
-        start[4] = -1 / 3 if first.fisheye and not lens.fisheye else 0.0
-    formula = replace(lens, grid=None)
-    fitted = bundle.fit(flat(observations), start[:12], poses, formula.free, formula.form)
-    camera = _fitted_camera(first, fitted, formula)
-    if lens.grid is None:
-        return camera, fitted
-    camera = splined.with_grid(camera, lens.grid)
-    known, start = splined.prior(camera, formula.free, flat(observations).pixels), projection.vector(camera)
-    for _ in range(2):  # the deviation of corners, against which the prior is weighed, is smaller with knots
-        sigma_px = float(np.sqrt(fitted.variance))
-        fitted = bundle.fit(flat(observations), start, fitted.camera_from_board, lens.free, lens.form, known, sigma_px)
-        start = fitted.intrinsics
-    return _fitted_camera(first, fitted, lens), fitted
-
-
-def _fitted_camera(first: Camera, fitted: bundle.Bundle, lens: Lens) -> Camera:
-    """The camera of a fit. Raises CalibrationError, Unobservable, DatasetError where it is impossible."""
-    if not np.isfinite(fitted.residuals).all():
-        raise CalibrationError("intrinsics cannot be fitted", why="the fit diverged", remedy=_DIRECTIONS)
-    if not fitted.intrinsics[:2].min() > 0:
-        raise Unobservable("focal length is not observable", why=f"the fit gives {fitted.intrinsics[0]:.3g} px", remedy=_TILT)
-    base = Camera(first.width, first.height, 1, 1, 0, 0, fisheye=lens.fisheye)
-    base = splined.with_grid(base, lens.grid)
-    return projection.with_vector(base, fitted.intrinsics).checked(where="estimated camera")
-
-
 def _start(observations: Sequence[Observation], width: int, height: int, fisheye: bool) -> tuple[Camera, Array]:
     """A camera with k1 k2 (of a fisheye, with none), and (views, 4, 4) poses of the target, by OpenCV."""
     points = [o.points.astype(np.float32) for o in observations]
@@ -278,13 +191,13 @@ def _start(observations: Sequence[Observation], width: int, height: int, fisheye
     try:
         found = cv2.calibrateCamera(points, pixels, (width, height), None, None, flags=flags, criteria=_STOP)
     except cv2.error as error:
-        raise CalibrationError("intrinsics cannot be fitted", why=str(error.err), remedy=_DIRECTIONS) from None
+        raise CalibrationError("intrinsics cannot be fitted", why=str(error.err), remedy=DIRECTIONS) from None
     error_px, matrix, distortion, rotations, translations = found
     if not np.isfinite(error_px):
-        raise CalibrationError("intrinsics cannot be fitted", why="the fit diverged", remedy=_DIRECTIONS)
+        raise CalibrationError("intrinsics cannot be fitted", why="the fit diverged", remedy=DIRECTIONS)
     focal, centre = matrix[[0, 1], [0, 1]], conventions.pixels_from_opencv(matrix[:2, 2])
     if not focal.min() > 0:
-        raise Unobservable("focal length is not observable", why=f"the fit gives {focal[0]:.3g} px", remedy=_TILT)
+        raise Unobservable("focal length is not observable", why=f"the fit gives {focal[0]:.3g} px", remedy=TILT)
     k1, k2 = (0.0, 0.0) if fisheye else map(float, distortion.ravel()[:2])
     (fx, fy), (cx, cy) = map(float, focal), map(float, centre)
     camera = Camera(width, height, fx, fy, cx, cy, k1, k2, fisheye=fisheye)
@@ -322,24 +235,3 @@ def _without_outliers(
                 left_out[observations[i].name] = f"its corners are {by_view[i]:.2g} px off, those of other views {typical:.2g} px"
         observations, poses = [kept[i] for i in survivors], fitted.camera_from_board[survivors]
     return observations, poses, left_out
-
-
-def rms(vectors: Array) -> float:
-    """Root mean square length of (n, 2) vectors."""
-    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=-1))))
-
-
-def _held_out(observations: Sequence[Observation], first: Camera, poses: Array, lens: Lens) -> Array:
-    """(views,) sums of squared errors [px^2] of views that a fit has not seen, in up to four folds; infinite where one fails."""
-    count, failed = min(4, len(observations) // 2), np.full(len(observations), np.inf)
-    squares, fold_of = failed.copy(), folds(len(observations), count)
-    try:
-        for fold in range(count):
-            rest, unseen = ([o for i, o in enumerate(observations) if (fold_of[i] == fold) == held] for held in (False, True))
-            camera, _ = fit(rest, first, poses[fold_of != fold], lens)
-            start, corners = projection.vector(camera), flat(unseen)
-            residuals = bundle.fit(corners, start, poses[fold_of == fold], form=lens.form).residuals
-            squares[fold_of == fold] = np.bincount(corners.view, (residuals**2).sum(-1), len(unseen))
-    except (KoalaError, ArithmeticError):
-        return failed
-    return squares if np.isfinite(squares).all() else failed

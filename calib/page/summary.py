@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from koala3d.calib.handeye import links, surface
+from koala3d.calib.handeye import credible, links, surface
 from koala3d.calib.handeye.uncertainty import MAX_STD_M
 from koala3d.calib.handeye.verify import Verification
 from koala3d.calib.intrinsics import projection, splined
@@ -25,6 +25,8 @@ def describe_calibration(calibration: Calibration) -> str:
     mark = RELAXED if calibration.residuals.allowed_mm else ""
     for title, value in calibration.poses.items():
         lines += _pose_lines(f"{title}{mark}", value)
+    if "folder" in calibration.provenance:
+        lines.append("flange              is the frame whose poses were imported: often the tool centre point (TCP)")
     camera, residuals = calibration.camera, calibration.residuals
     if calibration.link_errors is not None:
         lines += [f"{kind:<19} {values}" for kind, values in links.in_words(calibration.link_errors)]
@@ -99,10 +101,25 @@ def notes(calibration: Calibration) -> list[str]:
         found.append(
             f"errors of the links do not help on unseen views ({without:.3f} px without them): omit --joint-deg and --link-mm"
         )
-    stated = calibration.provenance.get("arm_accuracy_stated", {}).get("translation_mm")
-    if stated and (times := residuals.arm_translation_mm / stated) > 3:
-        advice = "check settling, time stamps and the arm's own calibration"
-        found.append(f"the arm is {times:.0f} times less accurate than stated ({stated:g} mm): {advice}")
+    if (share := credible.share_left_out(residuals)) > credible.LARGE_SHARE:
+        found.append(f"{share:.0%} of the corners are left out; check poses, target and sharpness of the views that lost most")
+    if residuals.arm_translation_mm is not None and residuals.held_out_px is None:
+        found.append("there is no error on unseen views: without a fifth of the views the rest could not be fitted")
+    return [*found, *_arm_notes(calibration)]
+
+
+def _arm_notes(calibration: Calibration) -> list[str]:
+    """A sentence for positions and one for rotations of the arm that are worse than stated."""
+    residuals, stated, found = calibration.residuals, calibration.provenance.get("arm_accuracy_stated", {}), []
+    errors = (
+        ("positions", "translation_mm", residuals.arm_translation_mm),
+        ("rotations", "rotation_deg", residuals.arm_rotation_deg),
+    )
+    for what, key, error in errors:
+        if stated.get(key) and error is not None and (times := error / stated[key]) > 3:
+            advice = "check settling, time stamps and the arm's own calibration"
+            accuracy = f"{stated[key]:g} {key.rpartition('_')[2]}"
+            found.append(f"the arm's {what} are {times:.0f} times less accurate than stated ({accuracy}): {advice}")
     return found
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from koala3d.calib.arrays import Array, Mask
 from koala3d.calib.errors import TargetError
+from koala3d.calib.targets import inner_corners
 from koala3d.calib.targets.detection import Observation, detect, read_board
 from koala3d.datasets import pose
 from koala3d.datasets.core import files
@@ -19,6 +20,15 @@ from koala3d.datasets.imaging.region import Region
 from koala3d.datasets.kinematics import UR5E, Links
 from koala3d.datasets.recording import FRAMES, MANIFEST, Recording
 from koala3d.datasets.targets.board import Board
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """What the poses of a file would be if its numbers meant something else than was said."""
+
+    kind: str  # for instance: Euler angles ZYX in degrees
+    description: str  # what would have to be said for that
+    base_from_flange: Array  # (views, 4, 4)
 
 
 @dataclass(frozen=True)
@@ -38,6 +48,9 @@ class TargetSession:
     region: Region | None = None  # of the sensor that every image shows, where the recording states it
     left_out: dict[str, str] = field(default_factory=dict)  # pictures that were not searched, with the reason
     images: dict[str, Path] = field(default_factory=dict)  # by name of the view, where there are any
+    readings: tuple[
+        Reading, ...
+    ] = ()  # other ways to read the numbers of the poses, where they came from a file of another program
 
     @property
     def stand_from_mount(self) -> Array:
@@ -53,7 +66,9 @@ class TargetSession:
         names = [o.name for o in self.observations]
         rows = [names.index(o.name) for o in observations]
         joints = None if self.joints is None else self.joints[rows]
-        return replace(self, observations=tuple(observations), base_from_flange=self.base_from_flange[rows], joints=joints)
+        readings = tuple(replace(one, base_from_flange=one.base_from_flange[rows]) for one in self.readings)
+        chosen = {"observations": tuple(observations), "base_from_flange": self.base_from_flange[rows]}
+        return replace(self, **chosen, joints=joints, readings=readings)
 
 
 def grey(picture: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -92,8 +107,13 @@ def observe(
             observations.append(observation)
             poses.append(base_from_flange)
         seen(f"view {name}: {0 if observation is None else len(observation.ids)} corners")
+    if board.kind == "chessboard" and len(observations) < inner_corners.NEARLY_NONE * len(views):
+        without = [image for name, image, _ in views if name in unseen]
+        some = without[:: -(-len(without) // inner_corners.TRIED)]
+        inner_corners.explain(board, (grey(images.read(image)) for image in some))
     if size is None or not observations:
-        why, remedy = f"{len(views)} views searched for {describe(board)}", "check the board's description and the exposure"
+        why, counted = f"{len(views)} views searched for {describe(board)}", " (squares, not inner corners)" * board.is_checkered
+        remedy = f"check the board's description{counted} and the exposure"
         raise TargetError("calibration target is not in any view", why=why, remedy=remedy)
     found = TargetSession(board, size[1], size[0], tuple(observations), np.stack(poses), tuple(unseen), provenance or {})
     return replace(found, eye_to_hand=eye_to_hand, images={name: image for name, image, _ in views})

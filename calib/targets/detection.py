@@ -112,8 +112,8 @@ def _chessboard_corners(board: Board, picture: NDArray[np.uint8]) -> Detected:
     if not found:
         return None
     places = places.reshape(rows, columns, 2).astype(np.float32)
-    if not board.is_ambiguous and not _first_square_is_dark(picture, places):
-        places = places[::-1, ::-1]
+    if (not board.is_ambiguous or rows == columns) and not _first_square_is_dark(picture, places):
+        places = np.rot90(places) if rows == columns else places[::-1, ::-1]
     return np.arange(rows * columns, dtype=np.int64), np.ascontiguousarray(places.reshape(-1, 2))
 
 

@@ -19,7 +19,7 @@ from koala3d.calib.handeye.model import Accuracy, State
 from koala3d.calib.handeye.refine import Refined
 from koala3d.calib.handeye.surface import FLAT
 from koala3d.calib.intrinsics import estimate, projection
-from koala3d.calib.intrinsics.estimate import rms
+from koala3d.calib.intrinsics.fitting import rms
 from koala3d.calib.intrinsics.prior import IntrinsicsPrior
 from koala3d.calib.sessions.session import TargetSession
 from koala3d.calib.together import joining
@@ -118,7 +118,7 @@ def _pooled(sessions: Sequence[TargetSession]) -> TargetSession:
         for observation in session.observations
     ]
     flanges = np.concatenate([session.base_from_flange for session in sessions])
-    return replace(sessions[0], observations=tuple(every), base_from_flange=flanges, joints=None)
+    return replace(sessions[0], observations=tuple(every), base_from_flange=flanges, joints=None, readings=())
 
 
 def _alone(session: TargetSession, camera: Calibration, accuracy: Accuracy) -> Solution | None:

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from koala3d.calib.arrays import Array, Indices
 from koala3d.calib.errors import CalibrationError, Unobservable
-from koala3d.calib.intrinsics import estimate, projection
+from koala3d.calib.intrinsics import estimate, fitting, projection
 from koala3d.calib.sessions.session import TargetSession
 from koala3d.datasets import pose
 from koala3d.datasets.calibration import Calibration
@@ -88,7 +88,7 @@ def find(session: TargetSession, angles: Array, calibration: Calibration) -> Fou
     cameras = calibration.camera_pose(session.base_from_flange, joints)
     boards = cameras @ estimate.camera_from_boards(calibration.camera, session.observations)
     axis = _closed_form(boards, angles)
-    corners = estimate.flat(session.observations)
+    corners = fitting.flat(session.observations)
     measured = _Measured(calibration, cameras, angles, corners.view, corners.pixels, corners.points)
     start = np.median([_flat(pose.inverse(axis.base_from_object(a)) @ b) for a, b in zip(angles, boards, strict=True)], axis=0)
     board = pose.checked(np.vstack([start.reshape(3, 4), [0, 0, 0, 1]]), where="board on the turntable", tolerance=0.5)

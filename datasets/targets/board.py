@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from pydantic import AliasChoices, Field, model_validator
 
 from koala3d.datasets.core.schema import Schema, load_yaml
+from koala3d.datasets.targets import kalibr
 
 Kind = Literal["charuco", "chessboard", "tags", "aprilgrid", "circles", "asymmetric_circles"]
 KALIBR = {"dictionary": "DICT_APRILTAG_36h11", "border_bits": 2}
@@ -73,6 +74,8 @@ class Board(Schema):
     @model_validator(mode="before")
     @classmethod
     def _as_kalibr_prints(cls, content: Any) -> Any:
+        if isinstance(content, dict) and "target_type" in content:
+            content = kalibr.board(content)
         if isinstance(content, dict) and content.get("kind", content.get("type")) == "aprilgrid":
             return {**KALIBR, **content}
         return content
@@ -81,8 +84,9 @@ class Board(Schema):
     def _can_exist(self) -> Self:
         if not self.has_tags and min(self.squares_x, self.squares_y) < 3:
             raise ValueError(f"{self.squares_x}x{self.squares_y} squares are too few; a board without tags needs 3x3")
-        if self.kind == "circles" and self.squares_x == self.squares_y:
-            raise ValueError(f"{self.squares_x}x{self.squares_y} circles look the same after a quarter turn: take 1 more one way")
+        if self.looks_the_same_after_a_quarter_turn:
+            what = "circles" if self.kind == "circles" else "squares"
+            raise ValueError(f"{self.squares_x}x{self.squares_y} {what} look the same after a quarter turn: take 1 more one way")
         room = self.square_length_m * (np.sqrt(2) if self.kind == "asymmetric_circles" else 1.0)
         fits = 0 < self.marker_length_m < room
         if self.kind != "chessboard" and not (fits or (self.kind == "tags" and self.marker_length_m == self.square_length_m)):
@@ -126,6 +130,12 @@ class Board(Schema):
         if self.kind == "asymmetric_circles":
             return self.squares_y % 2 == 0
         return self.kind == "circles" or (self.kind == "chessboard" and (self.squares_x + self.squares_y) % 2 == 0)
+
+    @property
+    def looks_the_same_after_a_quarter_turn(self) -> bool:
+        """Whether it does; a chessboard with as many squares along x as along y does not if their number is even."""
+        alike = self.kind == "circles" or (self.kind == "chessboard" and self.squares_x % 2 == 1)
+        return alike and self.squares_x == self.squares_y
 
     @property
     def size(self) -> NDArray[np.float64]:

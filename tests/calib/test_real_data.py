@@ -8,11 +8,13 @@ import pytest
 
 from koala3d.calib import calibrate, comparison
 from koala3d.calib.calibrate import calibrate_handeye
+from koala3d.calib.errors import CalibrationError
 from koala3d.calib.handeye import closed_forms
 from koala3d.calib.handeye.model import Accuracy
 from koala3d.calib.intrinsics import estimate
 from koala3d.calib.page.summary import notes
 from koala3d.calib.sessions import importer
+from koala3d.calib.sessions.description import load_description
 from koala3d.datasets import pose
 from koala3d.datasets.calibration import Calibration
 
@@ -27,7 +29,7 @@ def imported(name, description):
     folder = DATA / name
     if not folder.is_dir():
         pytest.skip(f"real data set {name} is absent: {folder} does not exist")
-    said = importer.load_description(ROOT / "configs" / "imports" / f"{description}.yaml")
+    said = load_description(ROOT / "configs" / "imports" / f"{description}.yaml")
     return importer.import_session(folder, said), said.camera.camera()
 
 
@@ -119,15 +121,15 @@ def test_camera_beside_the_arm_is_in_front_of_it(beside):
 
 
 def test_poses_read_by_columns_are_refused_with_the_remedy(charuco):
-    said = importer.load_description(ROOT / "configs" / "imports" / "franka_charuco.yaml")
-    with pytest.raises(importer.CalibrationError, match=r"say layout: matrix$"):
+    said = load_description(ROOT / "configs" / "imports" / "franka_charuco.yaml")
+    with pytest.raises(CalibrationError, match=r"say layout: matrix$"):
         importer.import_session(DATA / "franka_charuco_handeye", said.model_copy(update={"layout": "matrix by columns"}))
 
 
 def test_inverse_poses_are_recognised(visp):
     session, camera = visp
     backwards = calibrate.TargetSession(session.board, 640, 480, session.observations, pose.inverse(session.base_from_flange))
-    with pytest.raises(importer.CalibrationError, match="poses are inverse"):
+    with pytest.raises(CalibrationError, match="poses are inverse"):
         calibrate_handeye(backwards, Calibration(camera, {}))
 
 

@@ -8,6 +8,7 @@ from sound import example_state
 
 from koala3d.calib.errors import TargetError
 from koala3d.calib.sessions import importer
+from koala3d.calib.sessions.description import load_description
 from koala3d.capture.model.rig import load_rig
 from koala3d.capture.model.trajectory import load_trajectory
 from koala3d.capture.recording.check import check as check_recording
@@ -97,9 +98,9 @@ def _pictures(folder: Path, out: Path) -> None:
 
 
 def _session(folder: Path, out: Path) -> None:
-    for name in ("import", "by_yaml", "by_json"):
+    for name in ("import", "by_txt", "by_npy", "by_yaml", "by_json", "by_yml", "by_xml"):
         try:
-            importer.import_session(folder, importer.load_description(folder / f"{name}.yaml"))
+            importer.import_session(folder, load_description(folder / f"{name}.yaml"))
         except TargetError:
             pass  # a picture this small may not show its board
 

@@ -163,7 +163,7 @@ def _path(folder: Path) -> None:
 
 
 def _session(folder: Path) -> None:
-    """Images of a board with poses in a CSV file, in one YAML file and in one JSON file each."""
+    """Images of a board with poses in one file of all (CSV, lines, an array) and in one of each (YAML, JSON, OpenCV's)."""
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
     picture = cv2.aruco.CharucoBoard((5, 4), 0.03, 0.02, dictionary).generateImage((100, 80), marginSize=8)
     numbers = [[0.1 * i, 0.0, 0.5, 1.0, 0.0, 0.0, 0.0] for i in range(3)]
@@ -171,13 +171,21 @@ def _session(folder: Path) -> None:
         images.write(folder / "images" / f"{index}.png", picture)
         (folder / f"pose-{index}.yaml").write_text(yaml.safe_dump({"data": values}))
         (folder / f"pose-{index}.json").write_text(json.dumps({"data": values}))
+        for suffix in ("yml", "xml"):
+            storage = cv2.FileStorage(str(folder / f"pose-{index}.{suffix}"), cv2.FILE_STORAGE_WRITE)
+            storage.write("data", np.array([values]))
+            storage.release()
     with open(folder / "poses.csv", "w", newline="") as file:
         table = csv.writer(file)
         table.writerow(["image", *"x y z qw qx qy qz".split()])
         table.writerows([f"{index}.png", *values] for index, values in enumerate(numbers))
+    np.savetxt(folder / "poses.txt", [[index, *values] for index, values in enumerate(numbers)])
+    np.save(folder / "poses.npy", numbers)
     base = {"images": "images/*.png", "layout": "x y z qw qx qy qz", "board": BOARD}
-    for name, poses in {"import": "poses.csv", "by_yaml": "pose-*.yaml", "by_json": "pose-*.json"}.items():
-        content = {**base, "poses": poses, "key": "" if name == "import" else "data"}
+    for suffix in ("csv", "txt", "npy", "yaml", "json", "yml", "xml"):
+        one = suffix in ("csv", "txt", "npy")
+        content = {**base, "poses": f"poses.{suffix}" if one else f"pose-*.{suffix}", "key": "" if one else "data"}
+        name = "import" if suffix == "csv" else f"by_{suffix}"
         (folder / f"{name}.yaml").write_text(yaml.safe_dump(content))
 
 

@@ -85,6 +85,18 @@ def test_reverse_order_is_named(honest):
     assert order.recognise(simulated.reported[::-1], [boards], NAMES) == "the poses are in reverse order"
 
 
+def test_the_order_of_names_by_characters_is_named(honest):
+    """The poses were listed as a shell lists img_1 ... img_18; the board is not seen in every picture."""
+    simulated, boards = honest
+    listed = [f"img_{number}" for number in range(1, VIEWS + 1)]
+    given = simulated.reported[[listed.index(name) for name in sorted(listed)]]
+    words = "the poses are in the order of the pictures' names by characters"
+    assert order.recognise(given, [boards], listed).startswith(words)
+    seen = np.delete(np.arange(VIEWS), [3, 10])
+    assert order.recognise(given[seen], [boards[seen]], [listed[i] for i in seen], listed).startswith(words)
+    assert order.recognise(simulated.reported, [boards], listed) == ""
+
+
 def test_nothing_is_suspected_of_honest_lists_nor_of_single_bad_views(honest):
     simulated, boards = honest
     assert order.recognise(simulated.reported, [boards], NAMES) == ""

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from koala3d.calib.advice.rehearsal import draw_rig
+from koala3d.calib.errors import Unobservable
 from koala3d.calib.handeye import model, refine, repeating, uncertainty
 from koala3d.calib.handeye.model import Accuracy, State
 from koala3d.calib.intrinsics import projection
@@ -144,3 +145,11 @@ def test_the_arm_is_off_by_what_its_links_are():
         board = pose.inverse(flange @ rig.flange_from_camera) @ rig.base_from_board
         off = observation.pixels - rig.camera.project(observation.points @ board[:3, :3].T + board[:3, 3])
         assert np.sqrt((off**2).mean()) < 1.0  # a stop of 0.03 mm and corners; links as reported would be several pixels off
+
+
+def test_views_that_leave_something_undetermined_are_refused_in_one_line(simulate, make_viewpoints):
+    found = simulate(seed=0, poses=lambda rng: np.repeat(make_viewpoints(rng, 1), 2, axis=0))
+    session = found.session(free=FREE[:4], known=None, accuracy=Accuracy())
+    refined = refine.refine(session, found.state(), sigma_px=0.1)
+    with pytest.raises(Unobservable, match=r"hand-eye pose are not observable \(2 views\)"):
+        repeating.estimate(session, refined)

@@ -1,5 +1,6 @@
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -7,11 +8,13 @@ from koala3d.calib.advice.patterns import ViewRange, viewpoints
 from koala3d.calib.advice.rehearsal import ARM, draw_rig
 from koala3d.calib.advice.simulate import simulate as simulate_session
 from koala3d.calib.advice.simulate import target_session
-from koala3d.calib.errors import TargetError, Unobservable
+from koala3d.calib.errors import CalibrationError, TargetError, Unobservable
 from koala3d.calib.handeye.model import camera_points
-from koala3d.calib.intrinsics import estimate, lenses, projection
+from koala3d.calib.intrinsics import choice, estimate, lenses, projection
+from koala3d.calib.targets.detection import Observation
 from koala3d.datasets import pose
 from koala3d.datasets.camera_model import Camera
+from koala3d.datasets.targets.board import Board
 
 PLAIN = Camera(960, 600, 850.0, 848.0, 484.0, 296.0)
 STRONG = Camera(960, 600, 560.0, 558.0, 484.0, 296.0, -0.30, 0.12, 0.001, -0.001, -0.02)
@@ -102,6 +105,41 @@ def test_a_fisheye_is_recognised_by_what_it_predicts(simulate):
     assert found.rms_px == pytest.approx(0.1 * np.sqrt(2), rel=0.05)
 
 
+def all_round(seed):
+    """20 views of a fisheye's whole field, to 88 degrees off its axis: corners by OpenCV's own fisheye, with 0.1 px of noise."""
+    rng, found, board = np.random.default_rng(seed), [], Board.of("charuco", 11, 8, 0.03, 0.022)
+    matrix, bent = np.array([[480.0, 0, 752.5], [0, 480.0, 747.5], [0, 0, 1]]), np.array([-0.02, 0.003, 0, 0])
+    while len(found) < 20:
+        (way, tilt), (round_, off) = (rng.uniform([0, 0.2], [2 * np.pi, 1]) for _ in range(2))
+        turn = pose.from_rotation_vector(np.deg2rad(35) * tilt * np.array([np.cos(way), np.sin(way), 0]))
+        towards = pose.from_rotation_vector(np.deg2rad(60) * off * np.array([np.sin(round_), -np.cos(round_), 0]))
+        placed = towards @ turn @ pose.from_rotation_vector([0, 0, rng.uniform(-3, 3)])
+        placed[:3, 3] = rng.uniform(0.12, 0.35) * towards[:3, 2] - placed[:3, :3] @ [*board.size / 2, 0]
+        points = board.points @ placed[:3, :3].T + placed[:3, 3]
+        near = np.flatnonzero(np.hypot(points[:, 0], points[:, 1]) < np.tan(np.deg2rad(88)) * points[:, 2])
+        if len(near) < 20:
+            continue
+        seen = cv2.fisheye.projectPoints(points[near].reshape(-1, 1, 3), np.zeros(3), np.zeros(3), matrix, bent)[0].reshape(-1, 2)
+        pixels = seen + 0.5 + rng.normal(0, 0.1, seen.shape)
+        inside = ((pixels > 0) & (pixels < 1500)).all(1)
+        if inside.sum() >= 20:
+            found.append(Observation(f"{len(found)}", near[inside], pixels[inside], board.points[near[inside]]))
+    return found
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_fisheye_is_found_where_ordinary_lenses_lead_astray(seed):
+    """The ordinary lens left 7 to 9 px, and views that a fisheye had not seen began from its poses."""
+    found = estimate.calibrate(all_round(seed), 1500, 1500)
+    assert found.camera.fisheye and found.camera.fx == pytest.approx(480, abs=0.3)
+    assert found.rms_px < 0.15 and found.held_out_px < 0.15
+
+
+def test_a_lens_that_leaves_pixels_is_refused():
+    with pytest.raises(CalibrationError, match=r"no lens fits the corners \([0-9.]+ px rms are left\).*--lens"):
+        estimate.calibrate(all_round(1), 1500, 1500, lenses=lenses.BROWN)
+
+
 def test_a_short_session_does_not_make_a_fisheye_of_an_ordinary_lens():
     """Wide enough that a fisheye is tried; with six views it used to win one session in eight."""
     chosen = []
@@ -110,20 +148,20 @@ def test_a_short_session_does_not_make_a_fisheye_of_an_ordinary_lens():
         flown = viewpoints(rng, rig, 6, ViewRange((5.0, 45.0), (0.25, 0.5)))
         session = target_session(simulate_session(rng, rig, flown, sigma_px=0.1, arm=ARM))
         found = estimate.calibrate(session.observations, session.width, session.height)
-        assert estimate._worth_a_try(lenses.FISHEYE[0], found.camera, lenses.LENSES["auto"])
+        assert choice._worth_a_try(lenses.FISHEYE[0], found.camera, lenses.LENSES["auto"])
         chosen.append(found.camera.fisheye)
     assert not any(chosen)
 
 
 def test_a_gain_counts_if_views_agree_on_it():
     best = np.full(10, 1.0)
-    assert estimate._is_better(np.full(10, 0.98), best, another_kind=True)
-    assert not estimate._is_better(np.full(10, 0.9999), best, another_kind=False)  # below the least gain
+    assert choice._is_better(np.full(10, 0.98), best, another_kind=True)
+    assert not choice._is_better(np.full(10, 0.9999), best, another_kind=False)  # below the least gain
     luck = best.copy()
     luck[0] = 0.5  # one view alone is better
-    assert not estimate._is_better(luck, best, another_kind=True)
-    assert not estimate._is_better(np.full(10, np.inf), best, another_kind=False)
-    assert estimate._is_better(best, np.full(10, np.inf), another_kind=True)
+    assert not choice._is_better(luck, best, another_kind=True)
+    assert not choice._is_better(np.full(10, np.inf), best, another_kind=False)
+    assert choice._is_better(best, np.full(10, np.inf), another_kind=True)
 
 
 def test_a_fisheye_can_be_asked_for(simulate):

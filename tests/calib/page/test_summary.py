@@ -48,7 +48,23 @@ def test_notes_name_what_a_person_should_look_at():
     )
     text = "\n".join(summary.notes(replace(CALIBRATION, residuals=residuals)))
     assert "view 003" in text and "view 007" in text and "little of the image" in text and "20 times less accurate" in text
+    assert "the arm's positions" in text and "the arm's rotations" not in text
     assert "did not converge" in text
+
+
+def test_notes_name_signs_of_poses_that_are_wrong():
+    """What a calibration from small Euler angles read as rotation vectors had: 150 times the stated error of a rotation."""
+    residuals = replace(RESIDUALS, arm_rotation_deg=1.49, corners=810, corners_left_out=139, held_out_px=None)
+    text = "\n".join(summary.notes(replace(CALIBRATION, residuals=residuals)))
+    assert "the arm's rotations are 149 times less accurate than stated (0.01 deg)" in text
+    assert "15% of the corners are left out" in text and "there is no error on unseen views" in text
+    assert summary.notes(CALIBRATION) == []
+
+
+def test_the_flange_of_an_imported_session_may_be_a_tool():
+    imported = replace(CALIBRATION, provenance={**CALIBRATION.provenance, "folder": "/data/session"})
+    assert "tool centre point (TCP)" in summary.describe_calibration(imported)
+    assert "TCP" not in summary.describe_calibration(CALIBRATION)
 
 
 def test_verification_names_the_worst_view():

@@ -56,6 +56,15 @@ def test_chessboard_that_looks_the_same_upside_down_is_read_anyhow(photograph):
     assert min(np.abs(found.pixels - truth).max(), np.abs(found.pixels - truth[::-1]).max()) < 1
 
 
+@pytest.mark.parametrize("roll", np.arange(0, 2 * np.pi, np.pi / 4))
+def test_a_chessboard_as_wide_as_it_is_high_is_told_from_its_quarter_turns_by_colour(photograph, roll):
+    square = Board.of("chessboard", 8, 8, 0.025)
+    camera_from_board = placed(square, [0.2, 0.1, 0], roll, 0.5)
+    found = detect(square, photograph(square, CAMERA, camera_from_board, rng=np.random.default_rng(2), samples=2), "view")
+    truth = CAMERA.project(square.points @ camera_from_board[:3, :3].T + camera_from_board[:3, 3])
+    assert min(np.abs(found.pixels - truth).max(), np.abs(found.pixels - truth[::-1]).max()) < 1
+
+
 @pytest.mark.parametrize("board", [CHARUCO, CHESSBOARD], ids=["charuco", "chessboard"])
 @pytest.mark.parametrize("roll", [0.1, 2.0, 3.2])
 def test_corners_of_a_photograph_are_where_they_were_put(photograph, board, roll):

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+import yaml
 
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.core.schema import validate
@@ -52,8 +53,8 @@ def test_an_aprilgrid_has_kalibrs_tags_unless_it_says_otherwise() -> None:
 
 
 def test_chessboards_with_both_numbers_even_or_odd_are_ambiguous() -> None:
-    found = [Board.of("chessboard", x, y, 0.03).is_ambiguous for x, y in ((9, 7), (8, 6), (9, 6))]
-    assert found == [True, True, False] and not Board.of("charuco", 9, 7, 0.03, 0.02).is_ambiguous
+    found = [Board.of("chessboard", x, y, 0.03).is_ambiguous for x, y in ((9, 7), (8, 6), (8, 8), (9, 6))]
+    assert found == [True, True, True, False] and not Board.of("charuco", 9, 7, 0.03, 0.02).is_ambiguous
 
 
 @pytest.mark.parametrize(
@@ -61,6 +62,7 @@ def test_chessboards_with_both_numbers_even_or_odd_are_ambiguous() -> None:
     [
         ({"kind": "charucco"}, "'charuco', 'chessboard', 'tags', 'aprilgrid', 'circles' or 'asymmetric_circles'"),
         ({"kind": "circles", "squares_x": 6}, "6x6 circles look the same after a quarter turn"),
+        ({"kind": "chessboard", "squares_x": 7, "squares_y": 7}, "7x7 squares look the same after a quarter turn"),
         ({"kind": "asymmetric_circles", "marker_length_m": 0.05}, "smaller than 1.414 x square_length_m"),
         ({"squares_x": 2}, "2x6 squares are too few"),
         ({"squares_x": "many"}, "squares_x.*'many'"),
@@ -73,3 +75,37 @@ def test_impossible_boards_are_refused_in_one_line(change: dict[str, object], me
     with pytest.raises(UsageError, match=message) as error:
         validate({**CHARUCO.model_dump(), **change}, Board, where="board.yaml")
     assert "\n" not in str(error.value)
+
+
+def test_a_target_file_of_kalibr_is_read() -> None:
+    """As Kalibr's own examples have it."""
+    text = (
+        "target_type: 'aprilgrid' #gridtype\ntagCols: 6\ntagRows: 5\ntagSize: 0.088 #[m]\ntagSpacing: 0.3 #share of tagSize\n"
+        "codeOffset: 2\n"
+    )
+    grid = validate(yaml.safe_load(text), Board, where="april.yaml")
+    assert grid == Board.of("aprilgrid", 6, 5, 0.1144, 0.088, first_id=2) and grid.border_bits == 2
+    text = "target_type: 'checkerboard'\ntargetCols: 6\ntargetRows: 7\nrowSpacingMeters: 0.06\ncolSpacingMeters: 0.06\n"
+    assert validate(yaml.safe_load(text), Board, where="checker.yaml") == Board.of("chessboard", 7, 8, 0.06)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ({"target_type": "circlegrid", "targetCols": 6}, "circlegrid.*marker_length_m"),
+        ({"target_type": "apriltag"}, "'apriltag' of Kalibr is not read: possible are aprilgrid and checkerboard"),
+        ({"target_type": ["aprilgrid"]}, "is not read"),
+        ({"target_type": "aprilgrid", "tagCols": 6, "tagRows": 6, "tagSize": 0.088}, "needs a number for 'tagSpacing'"),
+        (
+            {"target_type": "checkerboard", "targetCols": 6, "targetRows": 7, "rowSpacingMeters": 0.06, "colSpacingMeters": 0.05},
+            "squares must be square",
+        ),
+        (
+            {"target_type": "aprilgrid", "tagCols": 2.5, "tagRows": 6, "tagSize": 0.088, "tagSpacing": 0.3},
+            "tagCols and tagRows are whole numbers: 2.5 and 6",
+        ),
+    ],
+)
+def test_other_targets_of_kalibr_are_refused(content: dict[str, object], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        validate(content, Board, where="target.yaml")
