@@ -81,9 +81,7 @@ class View:
         Raises:
             DatasetError: the file is missing, damaged, or of another size than the camera.
         """
-        picture = self.read_image()
-        self._require_channels(picture.shape[-1])
-        picture = reduced.in_colour(picture)
+        picture = reduced.in_colour(self.read_image())
         if self.image.suffix.lower() == ".exr":
             light = picture[..., :3] if self.white is None else np.minimum(picture[..., :3] / self.white, 1)
             picture = np.concatenate([images.srgb_from_linear(light), picture[..., 3:]], axis=-1)
@@ -140,9 +138,7 @@ class View:
 
     def read_image(self) -> NDArray[np.float32]:
         """The image alone, mask or not, with as many channels as its file has. Raises as `read` does."""
-        picture = images.read(self.image)
-        self._check_size(picture, self.image)
-        return picture
+        return images.as_float(self.read_stored())
 
     def read_stored(self) -> NDArray[Any]:
         """`read_image` as the integers of its file, for `images.as_float`, or as float32."""
