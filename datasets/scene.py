@@ -85,9 +85,7 @@ class View:
         Raises:
             DatasetError: the file is missing, damaged, or of another size than the camera.
         """
-        picture = self.read_image()
-        self._require_channels(picture.shape[-1])
-        picture = reduced.in_colour(picture)
+        picture = reduced.in_colour(self.read_image())
         if self.image.suffix.lower() == ".exr":
             light = picture[..., :3] if self.white is None else np.minimum(picture[..., :3] / self.white, 1)
             picture = np.concatenate([images.srgb_from_linear(light), picture[..., 3:]], axis=-1)

@@ -93,10 +93,7 @@ class Grower:
 
     def _agreed(self, masks: Sequence[NDArray[np.bool_]]) -> NDArray[np.float32]:
         """(n,) expectation of each cell after the votes of all masks."""
-        seen, shown = np.zeros(len(self.space.from_centre), int), np.zeros(len(self.space.from_centre), int)
-        for i, mask in enumerate(masks):
-            sees, shows = self.space.votes(i, mask)
-            seen, shown = seen + sees, shown + shows
+        seen, shown = np.sum([self.space.votes(i, mask) for i, mask in enumerate(masks)], axis=0)
         share = np.where(seen >= max(FEWEST_VIEWS, SHARE_OF_VIEWS * len(masks)), shown / np.maximum(seen, 1), 0)
         most = max(float(share.max()), 1e-9)
         return np.select([share > SURE * most, share > UNSURE * most], [EXPECTED, MAYBE], 0.0).astype(np.float32)

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,7 +59,7 @@ class Space:
         """(n,) distance of each cell from the ball's centre, in radii."""
         return np.linalg.norm(self._cells, axis=1)
 
-    def drawn(self, view: int, values: NDArray[np.float32]) -> NDArray[np.float32]:
+    def drawn(self, view: int, values: NDArray[Any]) -> NDArray[np.float32]:
         """(height, width) largest of the (n,) non-negative cell values in each pixel of a view; cells fill their width."""
         sight = self.sights[view]
         picture = np.zeros((sight.camera.height, sight.camera.width), np.float32)

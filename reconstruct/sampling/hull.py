@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koala3d.datasets.scene import View
-from koala3d.datasets.structure.masks.silhouette import Silhouette
+from koala3d.datasets.structure.masks.silhouette import Sight, Silhouette
 from koala3d.datasets.structure.masks.votes import carved
 from koala3d.reconstruct.sampling.occupancy import cell_centres
 from koala3d.reconstruct.scene.rays import Normalisation, Pixels, scaled_camera
@@ -72,14 +72,9 @@ def views_of(views: tuple[View, ...], normalisation: Normalisation, scene: NDArr
     world = scene / normalisation.scale + normalisation.centre
     count = np.zeros(len(world), int)
     for view in views:
-        points = (world - view.world_from_camera[:3, 3]) @ view.world_from_camera[:3, :3]
         camera = view.camera.undistorted()  # a margin of a tenth of the picture covers the lens
-        front = points[:, 2] > 1e-9
-        column, row = camera.project(np.where(front[:, None], points, [0, 0, 1.0])).T
+        index, _, (column, row) = Sight(camera, view.world_from_camera).projected(world.T, 0.0)
         margin = 0.1 * max(camera.width, camera.height)
-        count += (
-            front
-            & (np.abs(column - camera.width / 2) < camera.width / 2 + margin)
-            & (np.abs(row - camera.height / 2) < camera.height / 2 + margin)
-        )
+        across, down = (np.abs(2 * at - size) < size + 2 * margin for at, size in ((column, camera.width), (row, camera.height)))
+        count[index[across & down]] += 1
     return count

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from koala3d.capture.sessions.adaptive.background import Outline
 from koala3d.capture.sessions.adaptive.places import Places, of_cells
+from koala3d.datasets.structure import bounds
 from koala3d.datasets.structure.masks.silhouette import Silhouette
 
 Array = NDArray[np.float64]
@@ -30,14 +31,13 @@ def carved(outlines: Sequence[Outline], corners: Array, table_z: float) -> Place
     low, high = corners
     counts = np.ceil(CELLS * (high - low) / (high - low).max()).astype(int)
     cell = (high - low) / counts
-    axes = [low[k] + cell[k] * (np.arange(counts[k]) + 0.5) for k in range(3)]
-    points = np.stack(np.meshgrid(*axes, indexing="ij")).reshape(3, -1)
+    points = bounds.grid(corners, counts).T
     against, able = np.zeros((2, points.shape[1]), int)
     for outline in outlines:
         against += _outside(outline.foreground, points)
         able += _outside(outline.silent, points)
     left = (against < np.maximum(1, np.ceil(AGAINST * able))) & (able >= JUDGED * len(outlines))
-    body = _body(left.reshape(counts), np.abs(axes[2] - table_z) < STANDS * cell[2])
+    body = _body(left.reshape(counts), np.abs(points[2, : counts[2]] - table_z) < STANDS * cell[2])
     return None if body is None else of_cells(body, low, cell)
 
 

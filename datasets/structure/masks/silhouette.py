@@ -105,7 +105,7 @@ class Silhouette(Sight):
         """Share of the object's pixels, the outermost left out, that see none of the balls about (n, 3) points."""
         from scipy.ndimage import minimum_filter
 
-        certain = minimum_filter(self.inside, size=3)
+        certain = np.asarray(minimum_filter(self.inside, size=3), np.bool_)
         return float(1 - self.covered(points, radius)[0][certain].mean()) if certain.any() else 0.0
 
 

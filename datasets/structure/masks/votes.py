@@ -72,7 +72,7 @@ class _Balls(NamedTuple):
 
     def among(self, chosen: NDArray[np.bool_]) -> "_Balls":
         """Some of them, by (n,) flags."""
-        return _Balls(*(values[..., chosen] for values in self))
+        return _Balls(self.which[chosen], self.centres[:, chosen], self.seen[chosen], self.against[chosen])
 
 
 def _counted(
