@@ -17,6 +17,7 @@ from koala3d.datasets.imaging.images import linear_from_srgb
 from koala3d.datasets.targets.board import Board
 from koala3d.datasets.targets.pattern import dictionary_of
 
+SEARCHED = (1500, 3000)  # longest sides at which a chessboard is looked for [px]: none in 24 megapixels took 16 s at full size
 MIN_CORNERS = 8  # a view of a checkered target with fewer corners is left out; of tags, one whole tag will do
 _SUBPIXEL = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 60, 1e-4)
 Detected = tuple[Indices, NDArray[np.float32]] | None
@@ -107,14 +108,26 @@ def _charuco_corners(board: Board, picture: NDArray[np.uint8]) -> Detected:
 
 def _chessboard_corners(board: Board, picture: NDArray[np.uint8]) -> Detected:
     columns, rows = board.squares_x - 1, board.squares_y - 1
-    flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
-    found, places = cv2.findChessboardCorners(picture, (columns, rows), flags=flags)
-    if not found:
+    sides = dict.fromkeys(min(side, max(picture.shape)) for side in SEARCHED)
+    found = (_chessboard_in(picture, side, (columns, rows)) for side in sides)
+    places = next((places for places in found if places is not None), None)
+    if places is None:
         return None
-    places = places.reshape(rows, columns, 2).astype(np.float32)
     if (not board.is_ambiguous or rows == columns) and not _first_square_is_dark(picture, places):
         places = np.rot90(places) if rows == columns else places[::-1, ::-1]
     return np.arange(rows * columns, dtype=np.int64), np.ascontiguousarray(places.reshape(-1, 2))
+
+
+def _chessboard_in(picture: NDArray[np.uint8], side: int, size: tuple[int, int]) -> NDArray[np.float32] | None:
+    """(rows, columns, 2) corners, in pixels of the picture, that are found at no more than `side` pixels a side."""
+    shrink = max(max(picture.shape) / side, 1.0)
+    small = picture if shrink == 1 else cv2.resize(picture, None, fx=1 / shrink, fy=1 / shrink, interpolation=cv2.INTER_AREA)
+    ratio = np.array(picture.shape[::-1]) / small.shape[::-1]
+    flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+    found, places = cv2.findChessboardCorners(small, size, flags=flags)
+    if not found:
+        return None
+    return ((places.reshape(*size[::-1], 2) + 0.5) * ratio - 0.5).astype(np.float32)
 
 
 def _refined(board: Board, grey: NDArray[np.float32], ids: Indices, found: NDArray[np.float32]) -> Array:

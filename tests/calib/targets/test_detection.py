@@ -89,6 +89,22 @@ def test_chessboard_keeps_its_first_corner_however_it_is_turned(photograph):
         assert np.abs(found.pixels - truth).max() < 1  # upside down it would be hundreds
 
 
+@pytest.mark.parametrize("size", [4000, 2000])
+def test_a_chessboard_in_a_large_picture_is_found_in_a_smaller_one(photograph, size):
+    """The corners are those of the large picture: near the middle, or small in its corner so that the first look misses it."""
+    camera_from_board = placed(CHESSBOARD, [0.2, 0.1, 0], 0.3, 0.5)
+    grey = photograph(CHESSBOARD, CAMERA, camera_from_board, rng=np.random.default_rng(2), samples=2)
+    truth = CAMERA.project(CHESSBOARD.points @ camera_from_board[:3, :3].T + camera_from_board[:3, 3])
+    if size == 4000:
+        ratio = np.array([4000 / 480, 2500 / 300])
+        large = cv2.resize(grey.astype(np.float32), (4000, 2500), interpolation=cv2.INTER_CUBIC)
+    else:
+        ratio, large = 1.0, np.full((1400, 2000), grey.mean(), np.float32)
+        large[:300, :480] = grey
+    found = detect(CHESSBOARD, large, "view")
+    assert found is not None and np.abs(found.pixels - truth * ratio).max() < 1.5 * np.max(ratio)
+
+
 def test_an_empty_picture_shows_nothing():
     assert detect(CHARUCO, np.full((300, 480), 0.5, np.float32), "view") is None
     assert detect(CHESSBOARD, np.full((300, 480), 0.5, np.float32), "view") is None
