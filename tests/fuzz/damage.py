@@ -119,7 +119,7 @@ class Damage(Structure):
         )
 
     def traverse_json(self) -> bool | None:
-        """A path in a file leaves the folder."""
+        """A path in a file leaves the folder. That of a picture may stand for its namesake inside; depth is not read."""
         path = self.pick(".json")
         if path is None or path.name == "calibration.json":
             return None
@@ -127,9 +127,10 @@ class Damage(Structure):
         places = [place for place in leaves(content) if place[-1] in PATH_KEYS]
         if not places:
             return None
-        put(content, self.random.choice(places), self._outside_name())
+        place = self.random.choice(places)
+        put(content, place, self._outside_name())
         path.write_text(json.dumps(content))
-        return True
+        return place[-1] not in ("file_path", "depth_file_path")
 
     def traverse_table(self) -> bool | None:
         path = next((p for p in self.files if p.name in ("images.bin", "images.txt")), None)
