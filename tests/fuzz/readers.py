@@ -18,6 +18,7 @@ from koala3d.datasets.checks.check import check
 from koala3d.datasets.core.errors import KoalaError
 from koala3d.datasets.formats import WRITERS, load_scene, ply, save_scene
 from koala3d.datasets.imaging import images
+from koala3d.datasets.process.pictures import videos
 from koala3d.datasets.recording import Recording
 from koala3d.datasets.scene import Scene
 from koala3d.reconstruct import checkpoint
@@ -124,6 +125,7 @@ READERS = {
     "path": lambda folder, out: camera_path.from_file(folder / "path.yaml"),
     "session": _session,
     "run": _run,
+    "video": lambda folder, out: [videos.picture(frame) for path in sorted(folder.iterdir()) for frame in videos.decoded(path)],
     "mesh": lambda folder, out: [reading.read(path) for path in sorted(folder.iterdir())],
 }
 """How each kind that is no scene is read."""

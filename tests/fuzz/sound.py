@@ -65,6 +65,7 @@ def sound_inputs(folder: Path) -> dict[str, Path]:
         "session": _session,
         "run": _run,
         "mesh": _meshes,
+        "video": _video,
     }
     for kind, make in makers.items():
         (folder / kind).mkdir()
@@ -187,6 +188,20 @@ def _session(folder: Path) -> None:
         content = {**base, "poses": f"poses.{suffix}" if one else f"pose-*.{suffix}", "key": "" if one else "data"}
         name = "import" if suffix == "csv" else f"by_{suffix}"
         (folder / f"{name}.yaml").write_text(yaml.safe_dump(content))
+
+
+def _video(folder: Path) -> None:
+    """Four frames of noise."""
+    import av
+
+    random = np.random.default_rng(3)
+    with av.open(str(folder / "walk.mp4"), "w") as container:
+        stream = container.add_stream("libx264", rate=10)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        for _ in range(4):
+            frame = av.VideoFrame.from_ndarray(random.integers(0, 255, (48, 64, 3), dtype=np.uint8), format="rgb24")
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))
 
 
 def _meshes(folder: Path) -> None:

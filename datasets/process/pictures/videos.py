@@ -99,13 +99,18 @@ def _opened(video: Path) -> Any:
     found = FORMATS.get(Path(video).suffix.lower())
     if found is None:
         raise UsageError("is no video", where=video, why=f"suffixes read are {', '.join(FORMATS)}")
+    if not Path(video).is_file():  # opening a pipe would wait for its writer
+        raise UsageError("no such video", where=video, remedy="check the path")
     try:
         container = av.open(str(video), format=found, options={"protocol_whitelist": "file"})
-    except FFmpegError as error:
-        raise DatasetError(
-            "video cannot be read", where=video, why=str(error.strerror or error), remedy="copy it again"
-        ) from None
+    except (FFmpegError, UnicodeDecodeError) as error:  # the latter: its names are damaged
+        why = str(getattr(error, "strerror", None) or error)
+        raise DatasetError("video cannot be read", where=video, why=why, remedy="copy it again") from None
     if not container.streams.video:
         container.close()
         raise UsageError("holds no moving pictures", where=video, remedy="give a video or a folder of photographs")
+    if getattr(container.streams.video[0], "codec_context", None) is None:
+        container.close()
+        why, remedy = "it is of no known kind", "convert it to H.264 in an .mp4"
+        raise DatasetError("pictures of the video cannot be decoded", where=video, why=why, remedy=remedy)
     return container
