@@ -134,7 +134,8 @@ def _redrawn(view: View, folder: Path, stem: str, pinhole: undistort.Pinhole | N
         same = {np.dtype(np.uint8): images.to_uint8, np.dtype(np.uint16): images.to_uint16}.get(picture.dtype, np.asarray)
         picture = np.concatenate([picture[..., :3], same(mask)], axis=-1)
     if pinhole is not None:
-        picture = pinhole.resample(picture, undistort.SMOOTH if suffix == ".exr" else undistort.COLOUR)
+        how = undistort.QUICK if suffix in LOSSY else undistort.COLOUR
+        picture = pinhole.resample(picture, undistort.SMOOTH if suffix == ".exr" else how)
     if suffix != ".exr" and (merged or suffix not in LOSSY):
         suffix = ".png"
     return _written(folder, f"{stem}{suffix}", picture, view.image)

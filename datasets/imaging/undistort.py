@@ -14,9 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 from koala3d.datasets import conventions, pose
 from koala3d.datasets.camera_model import Camera
 
-COLOUR, SMOOTH, NEAREST = "colour", "smooth", "nearest"
-"""Interpolation. COLOUR: Lanczos' over 8x8 pixels, which keeps detail and noise. SMOOTH: linear, never overshoots. NEAREST: for
-values that must not be mixed. OpenCV rounds positions to a 32nd of a pixel."""
+COLOUR, QUICK, SMOOTH, NEAREST = "colour", "quick", "smooth", "nearest"
+"""Interpolation. COLOUR: Lanczos' over 8x8 pixels, which keeps detail and noise. QUICK: cubic over 4x4, a third of the time, for
+pictures whose compression loses more than that does. SMOOTH: linear, never overshoots. NEAREST: for values that must not be
+mixed. OpenCV rounds positions to a 32nd of a pixel."""
 ROWS = 256
 """Rows of the new picture that are made at a time: positions in double precision would take eight times its memory."""
 
@@ -47,21 +48,25 @@ class Pinhole:
     def resample(self, picture: NDArray[Any], how: str = COLOUR) -> NDArray[Any]:
         """(height, width, channels) of the new camera from the old one's image, of the same type: uint8, uint16 or float32.
 
-        With COLOUR, the second or fourth channel is a straight alpha, which weights the colours, and floats are clipped to 0..1.
+        With COLOUR and QUICK, the second or fourth channel is a straight alpha, which weights the colours, and floats are clipped to 0..1.
         """
-        top = 1.0 if picture.dtype == np.float32 else float(np.iinfo(picture.dtype).max)
-        values = np.asarray(picture, np.float32)
-        has_alpha = how == COLOUR and picture.shape[-1] in (2, 4)
-        if has_alpha:
-            values = np.concatenate([values[..., :-1] * (values[..., -1:] / np.float32(top)), values[..., -1:]], axis=-1)
+        has_alpha = how in (COLOUR, QUICK) and picture.shape[-1] in (2, 4)
         result = np.empty((self.camera.height, self.camera.width, picture.shape[-1]), picture.dtype)
         places = _places(self)
+        if picture.dtype == np.uint8 and how != COLOUR and not has_alpha:  # rounded and clipped by OpenCV
+            for start in range(0, len(result), ROWS):
+                result[start : start + ROWS] = _remapped(picture, places[start : start + ROWS], how)
+            return result
+        top = 1.0 if picture.dtype == np.float32 else float(np.iinfo(picture.dtype).max)
+        values = np.asarray(picture, np.float32)
+        if has_alpha:
+            values = np.concatenate([values[..., :-1] * (values[..., -1:] / np.float32(top)), values[..., -1:]], axis=-1)
         for start in range(0, len(result), ROWS):
             rows = _remapped(values, places[start : start + ROWS], how)
             if has_alpha:  # both overshoot alike at an edge, so divide before clipping
                 alpha = rows[..., -1:] / np.float32(top)
                 rows = np.concatenate([rows[..., :-1] / np.where(alpha > 1e-3, alpha, 1.0), rows[..., -1:]], axis=-1)
-            if how == COLOUR:
+            if how in (COLOUR, QUICK):
                 np.clip(rows, 0, top, out=rows)
             result[start : start + ROWS] = rows if picture.dtype == np.float32 else np.rint(rows, out=rows)
         return result
@@ -80,12 +85,12 @@ def _places(pinhole: Pinhole) -> NDArray[np.float32]:
     return places
 
 
-def _remapped(values: NDArray[np.float32], places: NDArray[np.float32], how: str) -> NDArray[np.float32]:
+def _remapped(values: NDArray[Any], places: NDArray[np.float32], how: str) -> NDArray[Any]:
     import cv2
 
-    flags = {COLOUR: cv2.INTER_LANCZOS4, SMOOTH: cv2.INTER_LINEAR, NEAREST: cv2.INTER_NEAREST}
-    found = cv2.remap(values, places[..., 0], places[..., 1], flags[how], borderMode=cv2.BORDER_REFLECT_101)
-    return np.asarray(found, np.float32).reshape(*places.shape[:2], values.shape[-1])
+    flags = {COLOUR: cv2.INTER_LANCZOS4, QUICK: cv2.INTER_CUBIC, SMOOTH: cv2.INTER_LINEAR, NEAREST: cv2.INTER_NEAREST}
+    found = cv2.remap(values, places, None, flags[how], borderMode=cv2.BORDER_REFLECT_101)  # type: ignore[call-overload]
+    return np.asarray(found).reshape(*places.shape[:2], values.shape[-1])
 
 
 @lru_cache(maxsize=8)
