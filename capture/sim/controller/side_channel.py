@@ -68,6 +68,11 @@ def _motions(controller: Controller, settle_spread: float = 5e-5) -> dict[str, A
     return {"motions": [[start, profile.duration, arm.swings_for(profile, settle_spread)] for start, profile in arm.motions]}
 
 
+def _program(controller: Controller) -> dict[str, Any]:
+    """The text of the newest control program; empty: there was none."""
+    return {"text": controller.program.text if controller.program is not None else ""}
+
+
 def _silent(controller: Controller, seconds: float) -> None:
     """Send no data for some real time; the connections stay open, the dashboard answers."""
     controller.silent_until = time.monotonic() + seconds
@@ -124,6 +129,7 @@ def _speed_slider(controller: Controller, fraction: float) -> None:
 ACTIONS: dict[str, Callable[..., dict[str, Any] | None]] = {
     "truth": _truth,
     "motions": _motions,
+    "program": _program,
     "protective_stop": lambda controller: controller.arm.stop_for_safety(Safety.PROTECTIVE_STOP, controller.now),
     "emergency_stop": lambda controller: controller.arm.stop_for_safety(Safety.ROBOT_EMERGENCY_STOP, controller.now),
     "stop_program": Controller.stop_program,

@@ -82,15 +82,14 @@ class Controller:
         self.arm.resume(self.now)
         return True
 
-    def upload(self, text: str) -> str:
-        """Start a program, as the script port does with every one that it receives; why it is refused, or nothing."""
+    def upload(self, text: str) -> None:
+        """Start a program, as the script port does with every one that it receives. Raises ScriptError: it is refused."""
         if (deceleration := script.stop_of(text)) is not None:
             if not self.unstoppable:
                 self.stop_program()
                 self.arm.stop(deceleration, self.now)
-            return ""
-        if refused := script.refusal(text):
-            return refused
+            return
+        script.check(text)
         if self.arm.may_move:
             self.installed.program = ""
             previous, self.program = self.program, script.ControlProgram(self.arm, text, self.report)
@@ -99,7 +98,6 @@ class Controller:
             self.arm.stop(3.0, self.now)
             self._input_written_s = time.monotonic()
             self.program.cycle(self.now)
-        return ""
 
     def write_inputs(self, values: dict[str, Any]) -> None:
         """Registers and outputs that a client sets; the program sees them at once."""
