@@ -246,6 +246,7 @@ def _quiet(simulated):
     return truth["phase_s"] > truth["motion_s"] + QUIET_S
 
 
+@pytest.mark.usefixtures("ctrl_c")
 def test_ctrl_c_in_motion_stops_the_arm(connect, slow):
     with pytest.raises(KeyboardInterrupt), connect(slow) as robot:
         with in_motion(slow, lambda: os.kill(os.getpid(), signal.SIGINT)):
