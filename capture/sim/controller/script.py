@@ -12,9 +12,10 @@ from collections.abc import Callable, Generator
 import numpy as np
 from numpy.typing import NDArray
 
+from koala3d.capture.drivers.ur.modes import SafetyMode
 from koala3d.capture.model import kinematics
 from koala3d.capture.model.kinematics import Joints, pose_from_six, six_from_pose
-from koala3d.capture.sim.controller.arm import Safety, SimulatedArm
+from koala3d.capture.sim.controller.arm import SimulatedArm
 from koala3d.capture.sim.controller.urscript import parser
 from koala3d.capture.sim.controller.urscript.lexer import ScriptError
 from koala3d.datasets import pose
@@ -233,7 +234,7 @@ ACTIONS: dict[int, Callable[[ControlProgram], "Generator[None] | None"]] = {
     **dict.fromkeys((15, 16), _stop),
     **dict.fromkeys((33, 34), lambda at: _stop(at, asynchronous=at.int_argument(1))),
     29: _set_tcp,
-    31: lambda at: at.arm.stop_for_safety(Safety.PROTECTIVE_STOP, at.now),
+    31: lambda at: at.arm.stop_for_safety(SafetyMode.PROTECTIVE_STOP, at.now),
     35: _watchdog,
 }
 """What commands do; a generator blocks the program until it ends."""
