@@ -126,7 +126,7 @@ def _exception(kind: int, payload: bytes) -> str:
     if kind != MESSAGE or len(payload) < 10 + PLACE.size or payload[9] != EXCEPTION:
         return ""
     (line, column), text = PLACE.unpack_from(payload, 10), payload[10 + PLACE.size :].decode("latin-1").strip(" \0")
-    return text if str(line) in text or not line else f"line {line}, column {column}: {text}"
+    return f"line {line}, column {column}: {text}" if line else text
 
 
 def _learnt(heard: Primary, kind: int, payload: bytes) -> Primary:

@@ -36,11 +36,12 @@ class ControllerServer:
 
     def report(self, message: str, line: int = 0, column: int = 0) -> None:
         """Log an error and send it to every client."""
-        log.warning(message)
+        text = str(ScriptError(message, line, column))
+        log.warning(text)
         for listener in self.listeners:
             listener(message, line, column)
         for session in list(self.sessions):
-            session.send(wire.text_message(message, session.version))
+            session.send(wire.text_message(text, session.version))
 
     def step(self) -> None:
         """One cycle of the controller, then data to every connection."""
@@ -92,7 +93,7 @@ class ControllerServer:
                 else:
                     script.check_part(text, ended=not chunk)
             except ScriptError as error:
-                self.report(str(error), error.line, error.column)
+                self.report(error.why, error.line, error.column)
                 return str(error)
         return ""
 

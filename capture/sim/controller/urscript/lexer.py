@@ -21,12 +21,8 @@ class ScriptError(Exception):
     """A controller does not take the program. `line` and `column` count from 1; 0: it has no place."""
 
     def __init__(self, why: str, line: int = 0, column: int = 0) -> None:
-        super().__init__(why)
-        self.line, self.column = line, column
-
-    def __str__(self) -> str:
-        why = super().__str__()
-        return f"line {self.line}, column {self.column}: {why}" if self.line else why
+        super().__init__(f"line {line}, column {column}: {why}" if line else why)
+        self.why, self.line, self.column = why, line, column
 
 
 class Token(NamedTuple):

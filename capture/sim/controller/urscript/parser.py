@@ -133,7 +133,10 @@ class _Parser:
             self._expect("(")
             self._list(")", self._argument)
         elif self._accept("("):
-            self._list(")", self._expression, at_least_one=True)
+            self._deeper(1)
+            self._expression()
+            self._deeper(-1)
+            self._expect(")")
         elif self._accept("["):
             self._list("]", self._expression)
         elif self._token.kind in ("number", "string") or self._token.text in ("True", "False"):
