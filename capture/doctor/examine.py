@@ -13,6 +13,7 @@ from koala3d.capture.doctor.lines import Line, Verdict, ok, unknown, wrong
 from koala3d.capture.doctor.report import ControllerReport, ask
 from koala3d.capture.drivers.cameras.base import InspectedCamera
 from koala3d.capture.drivers.errors import CaptureError, NotReady
+from koala3d.capture.drivers.ur.client import is_vendors
 from koala3d.capture.drivers.ur.link import Deadlines
 from koala3d.capture.model.rig import RigDescription
 from koala3d.capture.sim.camera_nodes import SimulatedNodes
@@ -49,7 +50,7 @@ def examine_arm(
         return [wrong("controller", f"{host}: {answers.silent[0]}", remedy)]
     stated = rig.robot.installation
     return [
-        *_ports(answers),
+        *_ports(answers, rig.robot.client),
         *arm.check(answers, rig.robot, up),
         *pendant.check(answers, stated),
         *safety.check(answers, stated),
@@ -145,8 +146,8 @@ def refuse_wrong(lines: list[Line], where: str, *, take_over: bool = False) -> N
         raise NotReady("the rig is not ready, nothing has moved", where=where, why=why, remedy=remedy)
 
 
-def _ports(answers: ControllerReport) -> list[Line]:
-    """Which interfaces answer."""
+def _ports(answers: ControllerReport, client: str) -> list[Line]:
+    """Which interfaces answer; `client`: what the rig file chooses."""
     samples = ok("RTDE", "sends samples")
     if answers.sample is None:
         samples = wrong("RTDE", "no samples", "enable RTDE at the pendant: Settings > Security > Services")
@@ -154,4 +155,6 @@ def _ports(answers: ControllerReport) -> list[Line]:
     if answers.primary is None or not answers.primary.heard:
         remedy = "enable Primary/Secondary at the pendant: Settings > Security > Services"
         primary = unknown("primary interface", "says nothing", remedy)
+        if not is_vendors(client):
+            primary = wrong("primary interface", "says nothing, and would take no program from the client koala", remedy)
     return [samples, primary]
