@@ -54,9 +54,6 @@ install_import_hook(
     [f"koala3d.reconstruct.{name}" for name in _NUMERICS], "beartype.beartype"
 )  # shapes as annotated, or an error
 
-if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # shells start background jobs with SIGINT ignored
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-
 settings.register_profile("quick", max_examples=10, deadline=None)
 settings.register_profile("thorough", max_examples=60, deadline=None)
 settings.load_profile("quick")  # `make test-all` takes the other
@@ -105,6 +102,14 @@ def run_inside() -> Callable[..., "subprocess.CompletedProcess[str]"]:
         return subprocess.CompletedProcess(argv, int(left.value.code or 0), out.getvalue(), err.getvalue())
 
     return run
+
+
+@pytest.fixture
+def ctrl_c() -> Iterator[None]:
+    """SIGINT interrupts this process, also if the tests were started with the signal ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture

@@ -82,10 +82,15 @@ def replay(
     out: Annotated[Path | None, Option(metavar="FILE.json", help="Also write every deviation to a new file.")] = None,
     as_json: console.Json = False,
 ) -> None:
-    """Repeat the joint path of a recording without the camera, and report the deviation of each frame's pose."""
+    """Repeat the joint path of a recording without the camera, and report the deviation of each frame's pose.
+
+    The arm and its mount must be those of the recording. The path is planned around what the rig file says of its surroundings.
+    """
+    from koala3d.capture.doctor.examine import examination
     from koala3d.capture.model.trajectory import recorded_trajectory
-    from koala3d.capture.recording.replay import replay, summary
+    from koala3d.capture.recording.replay import obstacles_around, replay, summary
     from koala3d.capture.rig.arms import open_arm
+    from koala3d.capture.rig.naming import describe
     from koala3d.datasets.core import files
     from koala3d.datasets.recording import Recording
 
@@ -95,10 +100,13 @@ def replay(
     stated = found.manifest.get("seed")
     links_seed = stated if isinstance(stated, int) else 0
     seed, trajectory = links_seed + 1 if seed is None else seed, recorded_trajectory(found)
+    obstacles = obstacles_around(found, describe(rig))
+    examine = examination(Path.cwd(), trajectory.upwards, cameras=False)
+    options: dict[str, Any] = {"seed": seed, "links_seed": links_seed, "time_scale": time_scale, "examine": examine}
     with console.progress("replay", len(found.frames), "views") as shown:
-        with open_arm(rig, trajectory, seed=seed, links_seed=links_seed, time_scale=time_scale) as (robot, controller):
+        with open_arm(rig, trajectory, **options) as (robot, controller):
             truth = None if controller is None else controller.true_base_from_flange
-            deviations = replay(found, robot, truth=truth, advance=lambda one: shown.advance())
+            deviations = replay(found, robot, obstacles, truth=truth, advance=lambda one: shown.advance())
     content = {"recording": str(recording), **summary(deviations), "frames": [vars(one) for one in deviations]}
     if out is not None:
         files.write_json(out, {"format": "koala-replay", "version": 1, **content})

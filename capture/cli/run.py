@@ -1,7 +1,7 @@
 """The command `run`: records the views of a trajectory, or views that the session chooses by what they add."""
 
-import os
 import signal
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -14,6 +14,7 @@ from koala3d.capture.cli.options import CalibrationFile, RigName, Scene, Seed, S
 from koala3d.datasets.core import console
 
 if TYPE_CHECKING:
+    from koala3d.capture.drivers.protocols import Robot
     from koala3d.capture.model.carrier import Carrier
     from koala3d.capture.model.trajectory import Trajectory
     from koala3d.capture.planning import PlannedView
@@ -140,13 +141,14 @@ def _every(session: "Trajectory", out: Path, options: "SessionOptions", port: in
         raise UsageError("chose its own views", where=out, remedy="continue it with --adaptive")
     description = describe(options.rig)
     mount, cameras = description.carrier(), [name for name in description.each if name]
-    start = time.monotonic()
+    start, robots = time.monotonic(), list["Robot"]()
     planned = plan(session, mount)
     with ExitStack() as stack:
         if port is not None:
-            stack.enter_context(_watched(out / description.name, session, mount, planned, port))
+            stack.enter_context(_watched(out / description.name, session, mount, planned, robots, port))
         shown = stack.enter_context(console.progress("capture", len(planned), "views"))
         with options.opened(session, out) as opened:
+            robots.append(opened.robot)
 
             def advance(name: str) -> None:
                 shown.advance()
@@ -160,12 +162,21 @@ def _every(session: "Trajectory", out: Path, options: "SessionOptions", port: in
 
 
 @contextmanager
-def _watched(out: Path, session: "Trajectory", mount: "Carrier", planned: "list[PlannedView]", port: int) -> Iterator[None]:
-    """A page that shows a recording while it is made. Its stop button does what Ctrl-C does."""
+def _watched(
+    out: Path, session: "Trajectory", mount: "Carrier", planned: "list[PlannedView]", robots: "list[Robot]", port: int
+) -> Iterator[None]:
+    """A page that shows a recording while it is made. Its button stops the `robots` and ends the session as Ctrl-C does."""
     from koala3d.capture.page.view import watch
     from koala3d.datasets.page import open_page
 
+    session_thread = threading.get_ident()
+
+    def stop() -> None:
+        signal.pthread_kill(session_thread, signal.SIGINT)  # to the thread itself, so that it wakes
+        for robot in robots:
+            robot.stop()  # the session may be busy with the camera
+
     with open_page(session.name, port) as page:
-        watch(page, out, session, mount, planned, stop=lambda: os.kill(os.getpid(), signal.SIGINT))
+        watch(page, out, session, mount, planned, stop=lambda: page.in_background(stop))
         console.hint(f"{page.url} shows the session")
         yield

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 
 from koala3d.capture.doctor import arm, camera, computer, pendant, safety
@@ -12,6 +13,7 @@ from koala3d.capture.doctor.lines import Line, Verdict, ok, unknown, wrong
 from koala3d.capture.doctor.report import ControllerReport, ask
 from koala3d.capture.drivers.cameras.base import InspectedCamera
 from koala3d.capture.drivers.errors import CaptureError, NotReady
+from koala3d.capture.drivers.ur.client import is_vendors
 from koala3d.capture.drivers.ur.link import Deadlines
 from koala3d.capture.model.rig import RigDescription
 from koala3d.capture.sim.camera_nodes import SimulatedNodes
@@ -48,7 +50,7 @@ def examine_arm(
         return [wrong("controller", f"{host}: {answers.silent[0]}", remedy)]
     stated = rig.robot.installation
     return [
-        *_ports(answers),
+        *_ports(answers, rig.robot.client),
         *arm.check(answers, rig.robot, up),
         *pendant.check(answers, stated),
         *safety.check(answers, stated),
@@ -66,8 +68,13 @@ def examine(
     needed: float = SESSION_BYTES,
     up: int | None = None,
     encoded: bool = True,
+    cameras: bool = True,
 ) -> list[Line]:
-    """Arm, computer and every camera; arguments as in `examine_arm`; `encoded`: whether cameras must send sRGB.
+    """Arm, computer and every camera; arguments as in `examine_arm`.
+
+    Args:
+        encoded: whether cameras must send sRGB.
+        cameras: whether they are asked at all.
 
     A simulated camera is librealsense's software device, or for all other drivers an ace USB over pylon's emulation.
     """
@@ -78,7 +85,7 @@ def examine(
     else:
         found = f"Koala has no driver for the {rig.arm.name}"
         lines = [unknown("controller", found, "simulate it by '--rig sim:NAME'; only arms of Universal Robots are driven")]
-    for number, (name, one) in enumerate(rig.each.items()):
+    for number, (name, one) in enumerate(rig.each.items() if cameras else ()):
         found = _examined(one, number if simulated else None, encoded=encoded)
         lines += [_of_camera(name, line) for line in found] if name else found
     return lines
@@ -108,12 +115,15 @@ def _camera(found: InspectedCamera, rig: RigDescription, *, simulated: bool, enc
     return camera.check(nodes, found.serial, found.facts, rig.camera, encoded=encoded, genicam=genicam)
 
 
-def examination(out: Path, up: int, encoded: bool, take_over: bool) -> Callable[[RigDescription, str, bool], None]:
-    """The checks at the start of a session that writes to `out`, for `open_rig`: silent where nothing is wrong."""
+def examination(
+    out: Path, up: int, encoded: bool = True, take_over: bool = False, *, cameras: bool = True
+) -> Callable[[RigDescription, str, bool], None]:
+    """The checks at the start of a session that writes to `out`, for `open_rig` and `open_arm`: silent if nothing is wrong."""
 
     def checked(rig: RigDescription, host: str, simulated: bool) -> None:
         # the recorder knows how much each view takes, and refuses a disk without room
-        lines = examine(rig, host, out, simulated=simulated, seconds=BRIEFLY_S, needed=0.0, up=up, encoded=encoded)
+        session = partial(examine, seconds=BRIEFLY_S, needed=0.0, up=up, encoded=encoded, cameras=cameras)
+        lines = session(rig, host, out, simulated=simulated)
         refuse_wrong(lines, host, take_over=take_over)
 
     return checked
@@ -136,8 +146,8 @@ def refuse_wrong(lines: list[Line], where: str, *, take_over: bool = False) -> N
         raise NotReady("the rig is not ready, nothing has moved", where=where, why=why, remedy=remedy)
 
 
-def _ports(answers: ControllerReport) -> list[Line]:
-    """Which interfaces answer."""
+def _ports(answers: ControllerReport, client: str) -> list[Line]:
+    """Which interfaces answer; `client`: what the rig file chooses."""
     samples = ok("RTDE", "sends samples")
     if answers.sample is None:
         samples = wrong("RTDE", "no samples", "enable RTDE at the pendant: Settings > Security > Services")
@@ -145,4 +155,6 @@ def _ports(answers: ControllerReport) -> list[Line]:
     if answers.primary is None or not answers.primary.heard:
         remedy = "enable Primary/Secondary at the pendant: Settings > Security > Services"
         primary = unknown("primary interface", "says nothing", remedy)
+        if not is_vendors(client):
+            primary = wrong("primary interface", "says nothing, and would take no program from the client koala", remedy)
     return [samples, primary]

@@ -2,27 +2,8 @@
 
 from koala3d.capture.doctor.lines import Line, compared, judged, ok, unknown, wrong
 from koala3d.capture.doctor.report import ControllerReport
+from koala3d.capture.drivers.ur.modes import RobotMode, SafetyMode, is_guarded, may_move, name_of
 from koala3d.capture.model.rig import InstallationDescription
-
-NORMAL, REDUCED, PROTECTIVE, RECOVERY, SAFEGUARD, SYSTEM_STOP, ROBOT_STOP, VIOLATION, FAULT = range(1, 10)
-STOPS = {
-    PROTECTIVE: "protective stop",
-    RECOVERY: "recovery mode",
-    SYSTEM_STOP: "system emergency stop",
-    ROBOT_STOP: "robot emergency stop",
-    VIOLATION: "safety violation",
-    FAULT: "safety fault",
-}
-RUNNING = 7
-MODES = {
-    0: "disconnected",
-    1: "confirming safety",
-    2: "booting",
-    3: "power off",
-    4: "power on",
-    5: "idle, brakes on",
-    6: "backdrive",
-}
 
 
 def check(answers: ControllerReport, stated: InstallationDescription) -> list[Line]:
@@ -31,35 +12,48 @@ def check(answers: ControllerReport, stated: InstallationDescription) -> list[Li
 
 
 def _modes(answers: ControllerReport) -> list[Line]:
-    names = "power", "safety mode", "safeguard stop", "reduced mode", "speed slider"
     if answers.sample is None:
+        names = "power", "safety mode", "safeguard stop", "reduced mode", "speed slider"
         return [unknown(name, "no samples", "enable RTDE at the pendant") for name in names]
-    safety, mode = int(answers.sample["safety_mode"]), int(answers.sample["robot_mode"])
-    slider = float(answers.sample["target_speed_fraction"])
-    power = MODES.get(mode, f"robot mode {mode}")
-    if safety in STOPS and mode != RUNNING:
-        first = unknown(names[0], f"{power} after a stop", "mend the safety mode first")
-    else:
-        first = judged(
-            names[0], mode == RUNNING, "on" if mode == RUNNING else power, "switch on and release the brakes at the pendant"
-        )
-    stopped = STOPS.get(safety)
-    remedy = "find the cause, then release it at the pendant"
+    slider, safety = float(answers.sample["target_speed_fraction"]), name_of(SafetyMode, int(answers.sample["safety_mode"]))
+    reduced = safety == SafetyMode.REDUCED.name
     return [
-        first,
-        wrong(names[1], stopped, remedy) if stopped else ok(names[1], "normal"),
+        _power(int(answers.sample["robot_mode"]), safety),
+        *_stops(safety, (answers.dashboard or {}).get("safetystatus", "").partition(":")[2].strip()),
         judged(
-            names[2], safety != SAFEGUARD, "open" if safety == SAFEGUARD else "closed", "close the fence or reset the scanner"
-        ),
-        judged(
-            names[3],
-            safety != REDUCED,
-            "active: speeds are limited" if safety == REDUCED else "off",
+            "reduced mode",
+            not reduced,
+            "active: speeds are limited" if reduced else "off",
             "leave the plane or input that triggers it; motions are slower, deadlines longer",
             blocks=False,
         ),
-        judged(names[4], slider > 0.99, f"{100 * slider:.0f} %", "motions take longer; move it to 100 %", blocks=False),
+        judged("speed slider", slider > 0.99, f"{100 * slider:.0f} %", "motions take longer; move it to 100 %", blocks=False),
     ]
+
+
+def _power(mode: int, safety: str) -> Line:
+    found = "on" if mode == RobotMode.RUNNING else _words(name_of(RobotMode, mode))
+    if mode != RobotMode.RUNNING and not may_move(safety):
+        return unknown("power", f"{found} after a stop", "mend the safety mode first")
+    return judged("power", mode == RobotMode.RUNNING, found, "switch on and release the brakes at the pendant")
+
+
+def _stops(safety: str, status: str) -> list[Line]:
+    """Lines of the mode and of safeguards. `status`: what the dashboard says of the mode; empty without one."""
+    names, remedy = ("safety mode", "safeguard stop"), "find the cause, then release it at the pendant"
+    if is_guarded(safety):
+        first = unknown(names[0], "a safeguard holds the arm", "mend that first")
+        return [first, wrong(names[1], f"open: {_words(safety)}", "close the fence or reset the scanner")]
+    if may_move(safety) and (may_move(status) or not status):
+        return [ok(names[0], "normal"), ok(names[1], "closed")]
+    found = _words(safety) if safety in SafetyMode.__members__ else f"number {safety}, which Koala does not know"
+    found += f"; the dashboard says {_words(status)}" if status and status != safety else ""
+    return [wrong(names[0], found, remedy), unknown(names[1], "hidden by the safety mode", "mend that first")]
+
+
+def _words(name: str) -> str:
+    """A mode as a person says it."""
+    return name.lower().replace("_", " ")
 
 
 def _checksum(answers: ControllerReport, stated: InstallationDescription) -> Line:

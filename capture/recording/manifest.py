@@ -53,8 +53,8 @@ def _mounting(carrier: Carrier) -> dict[str, Any]:
 def require_same_session(recording: Recording, trajectory: Trajectory, rig: Rig) -> None:
     """Raise UsageError where a session differs from that of a recording, or where one of its devices is another.
 
-    Address and client of the controller do not matter, nor do settings that were added to Koala since. A device is compared
-    where the recording says which it was.
+    Address and client of the controller do not matter, nor do settings that were added to Koala since, nor a slower motion. A
+    device is compared where the recording says which it was.
     """
     now = manifest_of(trajectory, rig)
     remedy = "resume with the original arguments, or choose another --out"
@@ -63,8 +63,9 @@ def require_same_session(recording: Recording, trajectory: Trajectory, rig: Rig)
         if was and was != new:
             why, original = f"{key} {was}, now {new or 'not known'}", f"use the original {device}, or choose another --out"
             raise UsageError(f"was taken with another {device}", where=recording.path, why=why, remedy=original)
+    recorded = recorded_trajectory(recording)
     pairs = {
-        "trajectory": (recorded_trajectory(recording), trajectory),
+        "trajectory": (recorded, _if_slower(trajectory, recorded)),
         "rig": (_anywhere(recorded_rig(recording)), _anywhere(rig.description)),
         "scene": (recording.manifest.get("scene"), now["scene"]),
         "seed": (recording.manifest.get("seed"), now["seed"]),
@@ -73,6 +74,15 @@ def require_same_session(recording: Recording, trajectory: Trajectory, rig: Rig)
         if was != new:
             why = "a recording has one session"
             raise UsageError(f"was taken with another {key}", where=recording.path, why=why, remedy=remedy)
+
+
+def _if_slower(trajectory: Trajectory, recorded: Trajectory) -> Trajectory:
+    """The trajectory at the recorded speed and acceleration if its own are not above them: the pictures are the same."""
+    now, was = trajectory.motion, recorded.motion
+    if now.speed > was.speed or now.acceleration > was.acceleration:
+        return trajectory
+    motion = now.model_copy(update={"speed": was.speed, "acceleration": was.acceleration})
+    return trajectory.model_copy(update={"motion": motion})
 
 
 def _anywhere(rig: RigDescription) -> RigDescription:

@@ -2,19 +2,29 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from koala3d.capture.drivers.errors import CaptureError
+from koala3d.capture.drivers.errors import CaptureError, PlanningError
 from koala3d.capture.drivers.protocols import Robot
-from koala3d.capture.model.rig import recorded_carrier
+from koala3d.capture.model.carrier import Carrier
+from koala3d.capture.model.rig import RigDescription, recorded_carrier
 from koala3d.capture.model.trajectory import recorded_trajectory
 from koala3d.capture.planning import Obstacles, connect
 from koala3d.datasets import pose
 from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.recording import TRUTH, Recording
+
+Joints = NDArray[np.float64]
+
+SAME = 1e-6  # mounts that differ by less are the same [m and rad]
+MEASURED_M = 1e-3
+"""A recorded pose may be closer to something by this much: its joint angles were measured, and may miss the planned ones [m]."""
 
 
 @dataclass(frozen=True)
@@ -34,9 +44,56 @@ class Deviation:
         return f"{self.translation_mm:.3f} mm, {self.rotation_deg:.4f} degrees, joints {self.joints_deg:.4f} degrees{true}"
 
 
+def obstacles_around(recording: Recording, rig: RigDescription) -> Obstacles:
+    """What is in the way if a rig repeats a recording: what stands around it now, with the recorded object and clearance.
+
+    Raises UsageError: the recording was made with another model of arm, or with another mount.
+    """
+    was, remedy = recorded_carrier(recording), "replay it on the rig that made it (--rig)"
+    carriers = [one.carrier() for one in rig.each.values()]
+    if (arm := carriers[0].arm.name) != was.arm.name:
+        why = f"with a {was.arm.name}, and this rig has a {arm}"
+        raise UsageError("was recorded with another arm", where=recording.path, why=why, remedy=remedy)
+    found = next((carrier for carrier in carriers if not _remounted(was, carrier)), None)
+    if found is None:
+        why = _remounted(was, carriers[0])
+        raise UsageError("was recorded with another mount", where=recording.path, why=why, remedy=remedy)
+    return Obstacles.of(recorded_trajectory(recording), found)
+
+
+def _remounted(was: Carrier, now: Carrier) -> str:
+    """How the mount differs, in words; empty: it does not."""
+    places = ["on the flange" if carrier.beside is None else "beside the arm" for carrier in (was, now)]
+    if places[0] != places[1]:
+        return f"its camera was {places[0]}, and is {places[1]}"
+    distance, angle = pose.difference(was.flange_from_carried, now.flange_from_carried)
+    same = distance < SAME and angle < SAME
+    return (
+        ""
+        if same
+        else f"what the flange carries is {1e3 * distance:.1f} mm and {np.degrees(angle):.1f} degrees from where it was"
+    )
+
+
+def _paths(recording: Recording, start: Joints, obstacles: Obstacles) -> list[list[Joints]]:
+    """The joint angles to pass through on the way to each frame, the last being those of the frame."""
+    if not recording.frames:
+        raise CaptureError("the recording has no frames", where=recording.path, remedy="record something first")
+    for frame in recording.frames:
+        pair, room = obstacles.nearest(frame.joints)
+        if room < -MEASURED_M:
+            why = f"{pair}, {1e3 * room:.0f} mm beyond the clearance"
+            remedy = "remove what is in the way, or correct 'obstacles' in the rig file"
+            raise PlanningError("a recorded pose is too close to something", where=f"view {frame.name}", why=why, remedy=remedy)
+    stops = [start, *(frame.joints for frame in recording.frames)]
+    names = [frame.name for frame in recording.frames]
+    return [connect(*ends, obstacles, where=f"view {name}") for name, ends in zip(names, pairwise(stops), strict=True)]
+
+
 def replay(
     recording: Recording,
     robot: Robot,
+    obstacles: Obstacles,
     *,
     truth: Callable[[], Any] | None = None,
     advance: Callable[[Deviation], None] = lambda one: None,
@@ -44,19 +101,18 @@ def replay(
     """Move to the recorded joint angles of every frame, in recorded order, on collision-free paths.
 
     Args:
-        recording: of any rig. Its trajectory defines speed, settling and obstacles.
+        recording: its trajectory defines speed and settling.
+        obstacles: of the rig that repeats it, see `obstacles_around`.
         truth: simulation only: returns the true flange pose, (4, 4) [m].
 
-    Raises CaptureError: the recording has no frames, or the arm failed and stands still.
+    Raises PlanningError: something is in the way, nothing has moved; CaptureError: the recording has no frames, or the arm failed
+    and stands still.
     """
-    if not recording.frames:
-        raise CaptureError("the recording has no frames", where=recording.path, remedy="record something first")
-    trajectory = recorded_trajectory(recording)
-    obstacles = Obstacles.of(trajectory, recorded_carrier(recording))
+    paths = _paths(recording, robot.state().joints, obstacles)
     true_poses = _true_poses(recording) if truth is not None else {}
-    motion, deviations = trajectory.motion, []
-    for frame in recording.frames:
-        for joints in connect(robot.state().joints, frame.joints, obstacles, where=f"view {frame.name}"):
+    motion, deviations = recorded_trajectory(recording).motion, []
+    for frame, path in zip(recording.frames, paths, strict=True):
+        for joints in path:
             robot.move_to(joints, speed=motion.speed, acceleration=motion.acceleration)
         state = robot.state()
         distance, angle = pose.difference(state.base_from_flange, frame.base_from_flange)

@@ -1,18 +1,21 @@
 """Opens the arm of a rig."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from koala3d.capture.drivers.protocols import Robot
 from koala3d.capture.model.rig import RigDescription
 from koala3d.capture.model.trajectory import Trajectory
-from koala3d.capture.rig.controllers import controller_of
+from koala3d.capture.rig.controllers import controller_of, device_lock, host_of
 from koala3d.capture.rig.naming import describe
 from koala3d.datasets.core.errors import UsageError
 
 if TYPE_CHECKING:
     from koala3d.capture.rig.controllers import Simulation
+
+Examination = Callable[[RigDescription, str, bool], None]
+"""Gets the rig, the address of its controller, and whether it is simulated."""
 
 
 def arm_of(
@@ -43,7 +46,13 @@ def arm_of(
 
 @contextmanager
 def open_arm(
-    name: str, trajectory: Trajectory, *, seed: int, links_seed: int, time_scale: float
+    name: str,
+    trajectory: Trajectory,
+    *,
+    seed: int,
+    links_seed: int,
+    time_scale: float,
+    examine: Examination = lambda description, host, simulated: None,
 ) -> Iterator[tuple[Robot, "Simulation | None"]]:
     """Connect only the arm. The second value is the simulated controller, or None for a real arm.
 
@@ -53,5 +62,9 @@ def open_arm(
     description = describe(name)
     hangs = trajectory.upwards < 0
     with controller_of(name, description, hangs=hangs, seed=seed, time_scale=time_scale, links_seed=links_seed) as controller:
-        with arm_of(description, trajectory, controller) as robot:
+        examine(description, host_of(description, controller), controller is not None)
+        with (
+            device_lock(f"arm-{description.robot.host}", "arm", controller),
+            arm_of(description, trajectory, controller) as robot,
+        ):
             yield robot, controller

@@ -1,12 +1,13 @@
 """The simulated controller of a rig: started here, or running already and described by a rig file."""
 
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from koala3d.capture.model.rig import RigDescription
 from koala3d.capture.rig.naming import is_started
+from koala3d.datasets.core import locks
 from koala3d.datasets.core.errors import UsageError
 
 if TYPE_CHECKING:
@@ -49,6 +50,11 @@ def controller_of(
             yield running
     else:
         yield None
+
+
+def device_lock(name: str, what: str, controller: "Simulation | None") -> AbstractContextManager[None]:
+    """The lock of a real device, which one process uses at a time; a simulated one has none."""
+    return locks.device(name, what) if controller is None else nullcontext()
 
 
 def controller_model(description: RigDescription) -> str:

@@ -1,6 +1,6 @@
 """Opens a rig: a real one that a file describes, or a simulated one that a seed defines."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -8,23 +8,17 @@ from typing import TYPE_CHECKING
 
 from koala3d.capture.drivers.errors import naming
 from koala3d.capture.drivers.protocols import Turntable
-from koala3d.capture.model.rig import RigDescription
 from koala3d.capture.model.trajectory import Trajectory
 from koala3d.capture.model.turntable import TurntableDescription, required
-from koala3d.capture.rig.arms import arm_of
+from koala3d.capture.rig.arms import Examination, arm_of
 from koala3d.capture.rig.cameras import camera_in
-from koala3d.capture.rig.controllers import controller_of, host_of
+from koala3d.capture.rig.controllers import controller_of, device_lock, host_of
 from koala3d.capture.rig.naming import describe
 from koala3d.capture.rig.rig import Rig
-from koala3d.datasets.core import locks
 from koala3d.datasets.core.errors import UsageError
 
 if TYPE_CHECKING:
-    from koala3d.capture.rig.controllers import Simulation
     from koala3d.capture.sim.turntable import SimulatedTurntable
-
-Examination = Callable[[RigDescription, str, bool], None]
-"""Gets the rig, the address of its controller, and whether it is simulated."""
 
 
 @contextmanager
@@ -73,10 +67,10 @@ def open_rig(
             opened = {}
             for number, (camera_name, one) in enumerate(description.each.items()):
                 with naming(camera_name):
-                    stack.enter_context(_lock(f"camera-{one.camera.model}-{one.camera.serial}", "camera", controller))
+                    stack.enter_context(device_lock(f"camera-{one.camera.model}-{one.camera.serial}", "camera", controller))
                     camera, truth = camera_in(one, trajectory, controller, scene, seed, turned, number)
                     opened[camera_name] = stack.enter_context(camera), one, truth
-            stack.enter_context(_lock(f"arm-{description.robot.host}", "arm", controller))
+            stack.enter_context(device_lock(f"arm-{description.robot.host}", "arm", controller))
             robot = stack.enter_context(arm_of(description, trajectory, controller, take_over))
             driven = table if turned is None else turned.reached
             turntable = stack.enter_context(_turntable(driven))  # last, since it may turn to find its zero
@@ -87,11 +81,6 @@ def open_rig(
             }
             first = next(iter(rigs.values()))
             yield replace(first, cameras=rigs) if description.cameras else first
-
-
-def _lock(name: str, what: str, controller: "Simulation | None") -> AbstractContextManager[None]:
-    """The lock of a real device, which one process uses at a time."""
-    return locks.device(name, what) if controller is None else nullcontext()
 
 
 def _turntable(table: TurntableDescription | None) -> AbstractContextManager[Turntable | None]:

@@ -8,7 +8,9 @@ import json
 import logging
 import os
 import shlex
+import signal
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -56,7 +58,12 @@ def make_app(name: str, help: str) -> App:
 
 
 def run(app: typer.Typer) -> None:
-    """Run a command line: every failure becomes one line on stderr and exit code 1 or 2."""
+    """Run a command line: every failure becomes one line on stderr and exit code 1 or 2.
+
+    Ctrl-C stops it, also if a shell has started it with `&` in a script: the interpreter then ignores the signal.
+    """
+    if threading.current_thread() is threading.main_thread():  # others may set no handlers
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     _state.update(debug="--debug" in sys.argv, json="--json" in sys.argv)
     try:
         result = app(standalone_mode=False)

@@ -71,6 +71,15 @@ FAULTS = {
         lambda session: session.at_the_pendant("power on", "brake release"),
         client="ur_rtde",
     ),
+    "safeguard stop": Fault(
+        _ask("safeguard"), ("the robot is stopped for safety", "SAFEGUARD_STOP", "close the fence"), _ask("safety")
+    ),
+    "safeguard that lets go by itself": Fault(
+        _ask("safeguard", seconds=0.5),
+        ("stopped for safety",),
+        lambda session: until(lambda: session.controller.ask("truth")["safety"] == "NORMAL", "the safeguard to let go"),
+        client="ur_rtde",
+    ),
     "connection dropped": Fault(_ask("drop"), ("connection to the robot", "resume")),
     "data silent": Fault(
         _ask("silent", seconds=60),

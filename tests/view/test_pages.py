@@ -38,9 +38,7 @@ def test_a_command_serves_several_browsers_and_ends_on_ctrl_c(
 ) -> None:
     """The image of a view appears only in the panel of the browser that selected it."""
     koala.save(make_scene(), tmp_path / "scene")
-    code = (
-        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\nfrom koala3d.datasets.cli import main; main()"
-    )
+    code = "from koala3d.datasets.cli import main; main()"
     command = [sys.executable, "-c", code, "view", str(tmp_path / "scene"), "--port", "0", "--quick", "--json"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:

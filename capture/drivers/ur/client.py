@@ -3,6 +3,7 @@
 Two exist: `ur_rtde`, the vendor's library, and `koala`, one of our own in plain sockets for platforms without it.
 """
 
+import importlib.util
 from collections.abc import Sequence
 from enum import StrEnum
 from importlib.metadata import PackageNotFoundError, version
@@ -15,6 +16,12 @@ class ClientChoice(StrEnum):
     AUTO = "auto"
     UR_RTDE = "ur_rtde"
     KOALA = "koala"
+
+
+def is_vendors(choice: str) -> bool:
+    """Whether a choice means the vendor's client: it is asked for, or it is installed and none is."""
+    installed = importlib.util.find_spec("rtde_control") is not None
+    return choice == ClientChoice.UR_RTDE or (choice == ClientChoice.AUTO and installed)
 
 
 class StartFailure(StrEnum):

@@ -1,20 +1,20 @@
 """A client of our own: what the driver needs of a UR controller, in plain sockets.
 
-It sends the control program to the script port, then talks to it through RTDE registers; see `program` for their meaning.
+It sends the control program to the primary interface, then talks to it through RTDE registers; see `program` for their meaning.
 """
 
-import socket
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from koala3d.capture.drivers.ur import primary
 from koala3d.capture.drivers.ur.client import StartError, StartFailure, State, versioned
 from koala3d.capture.drivers.ur.rtde import program
 from koala3d.capture.drivers.ur.rtde.program import FIRST, Command
 from koala3d.capture.drivers.ur.rtde.stream import RegistersInUse, RtdeStream
 
-SCRIPT_PORT = 30003
-CONNECT_S, START_S, ANSWER_S = 2.0, 5.0, 1.0  # until the script port accepts, the program runs, and a command is carried out [s]
+CONNECT_S, START_S, ANSWER_S = 2.0, 5.0, 1.0
+"""Until the primary interface accepts, the program runs, and a command is carried out [s]."""
 RUNNING = 2  # runtime state of a program that runs and is not paused
 STATE_REGISTER, PROGRESS_REGISTER = f"output_int_register_{FIRST}", f"output_int_register_{FIRST + 2}"
 RESULT_REGISTERS = [f"output_double_register_{FIRST + index}" for index in range(6)]
@@ -93,17 +93,25 @@ class KoalaClient:
         deadline = time.monotonic() + START_S
         self._wait(lambda: not self._running, deadline, "another program runs on the controller and does not end")
         self.kick()
-        with socket.create_connection((host, SCRIPT_PORT), CONNECT_S) as script:
-            script.sendall(program.text().encode())
-            self._wait(lambda: self._running and self._ready, deadline, "connected, but the control program does not run")
+        try:
+            with primary.Upload(host, program.text(), CONNECT_S) as upload:
+                otherwise = "connected, but the control program does not run"
+                self._wait(lambda: self._running and self._ready, deadline, otherwise, upload.refusal)
+        except (OSError, ValueError) as error:
+            why = f"port {primary.PORT} takes no program: {error}"
+            raise StartError(f"{why}; open 'Primary/Secondary' in the security settings of the pendant") from None
         if not (self._order(Command.WATCHDOG, [self._watchdog_hz]) and self._done(ANSWER_S)):
             raise StartError("the controller refused the watchdog")
 
-    def _wait(self, happened: Callable[[], bool], deadline: float, otherwise: str) -> None:
+    def _wait(
+        self, happened: Callable[[], bool], deadline: float, otherwise: str, refusal: Callable[[], str] = lambda: ""
+    ) -> None:
         while not (self._sample and happened()):
             self._receive(0.02)
             if not self._stream.connected:
                 raise StartError("the controller closed the connection")
+            if refused := refusal():
+                raise StartError(f"the controller refuses the control program: {refused}")
             if time.monotonic() > deadline:
                 raise StartError(otherwise)
 

@@ -8,6 +8,7 @@ from typing import Protocol, Self
 from koala3d.capture.drivers.errors import NotReady, RigConnectionError
 from koala3d.capture.drivers.ur.client import ClientChoice
 from koala3d.capture.drivers.ur.dashboard import Dashboard
+from koala3d.capture.drivers.ur.modes import may_move
 from koala3d.capture.drivers.ur.stand_in import StandIn
 
 BUSY = ("PLAYING", "PAUSED")
@@ -71,7 +72,7 @@ def connect(host: str) -> Pendant:
 def require_ready(pendant: Pendant, host: str) -> None:
     """Raise NotReady unless the arm could move now."""
     safety, mode = pendant.safety_status(), pendant.robot_mode()
-    if safety not in ("NORMAL", "REDUCED"):
+    if not may_move(safety):
         remedy = "find the cause, release it at the pendant, then run again"
         raise NotReady("the robot is stopped for safety", where=host, why=f"safety status {safety}", remedy=remedy)
     if mode != "RUNNING":

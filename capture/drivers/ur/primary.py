@@ -1,5 +1,6 @@
-"""What a UR controller says of itself on its primary interface (port 30001): version, tool offset, its own kinematics, safety.
+"""A UR controller's primary interface (port 30001): what it says of itself, and programs that it takes.
 
+It says its version, the tool offset, its own kinematics and a checksum of its safety settings, and what is wrong with a program.
 A package is int32 length, uint8 type, and for a robot state sub-packages of uint32 length, uint8 type (Universal Robots, "Client
 interfaces"). All numbers are big-endian. The sub-package of the safety configuration is not documented; its first four bytes are
 said to be the checksum. PolyScope X has this interface too, while it has no dashboard server.
@@ -10,6 +11,7 @@ import struct
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +20,11 @@ from koala3d.datasets.kinematics import Links
 
 PORT, WAIT_S = 30001, 1.5
 STATE, MESSAGE = 16, 20
-CARTESIAN, KINEMATICS, SAFETY, VERSION = 4, 5, 10, 3
+CARTESIAN, KINEMATICS, SAFETY = 4, 5, 10  # sub-packages of a state
+VERSION, EXCEPTION = 3, 10  # kinds of message
 CARTESIAN_FIELDS, KINEMATICS_FIELDS = struct.Struct(">12d"), struct.Struct(">6I24dI")
+PLACE = struct.Struct(">ii")
+"""Line and column of an exception, counted from 1; 0: it has none."""
 MAX_PACKAGE = 1 << 16
 
 
@@ -64,6 +69,40 @@ def listen(host: str, wait_s: float = WAIT_S) -> Primary:
     return heard
 
 
+class Upload:
+    """A program on its way to the controller, which runs it in place of any other and says if it does not compile.
+
+    Raises OSError: nobody takes it.
+    """
+
+    def __init__(self, host: str, text: str, timeout_s: float) -> None:
+        self._link, self._buffer, self._heard = socket.create_connection((host, PORT), timeout_s), bytearray(), False
+        self._link.sendall(text.encode())
+        self._link.setblocking(False)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._link.close()
+
+    def refusal(self) -> str:
+        """What the controller has said against the program until now; empty: nothing. Raises OSError: it hung up silently."""
+        try:
+            while chunk := self._link.recv(65536):
+                self._buffer += chunk
+                self._heard = True
+            if not self._heard:
+                raise ConnectionResetError("the controller closed the connection")
+        except BlockingIOError:
+            pass  # nothing more has arrived
+        except OSError:
+            if not self._heard:
+                raise
+        found = [exception for kind, payload in packages(self._buffer) if (exception := _exception(kind, payload))]
+        return found[0] if found else ""
+
+
 def packages(buffer: bytearray) -> Iterator[tuple[int, bytes]]:
     """(type, payload) of every complete package, removed from `buffer`; raises ValueError on an impossible length."""
     while len(buffer) >= 5:
@@ -80,6 +119,14 @@ def packages(buffer: bytearray) -> Iterator[tuple[int, bytes]]:
 def package(kind: int, payload: bytes) -> bytes:
     """One package, or one sub-package."""
     return struct.pack(">iB", len(payload) + 5, kind) + payload
+
+
+def _exception(kind: int, payload: bytes) -> str:
+    """What a message says of an error in a program; empty for any other package."""
+    if kind != MESSAGE or len(payload) < 10 + PLACE.size or payload[9] != EXCEPTION:
+        return ""
+    (line, column), text = PLACE.unpack_from(payload, 10), payload[10 + PLACE.size :].decode("latin-1").strip(" \0")
+    return f"line {line}, column {column}: {text}" if line else text
 
 
 def _learnt(heard: Primary, kind: int, payload: bytes) -> Primary:

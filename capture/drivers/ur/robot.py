@@ -17,6 +17,7 @@ from koala3d.capture.drivers.measurements import RobotState
 from koala3d.capture.drivers.safety import Limits
 from koala3d.capture.drivers.ur.client import ClientChoice, StartFailure
 from koala3d.capture.drivers.ur.link import ChildLink, Deadlines, Sample
+from koala3d.capture.drivers.ur.modes import is_guarded, may_move
 from koala3d.capture.drivers.ur.pendant import Pendant, client_for, require_ready
 from koala3d.capture.drivers.ur.settling import Settling, Window
 from koala3d.capture.drivers.ur.stop_channel import STILL_RAD_S, StopChannel, StopReply
@@ -25,7 +26,8 @@ from koala3d.capture.model.kinematics import pose_from_six
 from koala3d.datasets import pose
 
 log = logging.getLogger(__name__)
-PROTECTIVE_BIT, EMERGENCY_BIT = 1 << 2, 1 << 7
+MAY_MOVE_BITS = 0b11
+"""Of the safety status: normal and reduced mode. Every other bit is a stop, a fault, or recovery."""
 START_REMEDIES = {
     StartFailure.IN_USE: "end the other program that controls the robot",
     StartFailure.MISSING: "pip install 'koala-capture[robot]', or use robot.client: koala",
@@ -300,8 +302,10 @@ class UniversalRobot:
         if safety == "PROTECTIVE_STOP":
             remedy = "look for the cause, release it at the pendant, then resume"
             return ProtectiveStop("protective stop: the arm stands still", where=self.host, why=what, remedy=remedy)
-        if safety and safety not in ("NORMAL", "REDUCED"):
+        if safety and not may_move(safety):
             remedy = "release it at the pendant, switch the arm on, then resume"
+            if is_guarded(safety):
+                remedy = "close the fence or reset the scanner; the program was ended and does not go on by itself; then resume"
             why = f"safety status {safety}, robot mode {mode}"
             return NotReady("the robot is stopped for safety", where=self.host, why=why, remedy=remedy)
         if answer is StopReply.SILENT:
@@ -337,4 +341,4 @@ def _model(state: RobotState) -> str:
 
 def _unsafe(sample: Sample) -> bool:
     """Whether the controller has stopped the arm for safety."""
-    return bool(sample.content["safety_bits"] & (PROTECTIVE_BIT | EMERGENCY_BIT))
+    return bool(sample.content["safety_bits"] & ~MAY_MOVE_BITS)

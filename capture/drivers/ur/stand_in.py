@@ -6,11 +6,11 @@ A program that arrives at the primary interface takes the place of the one that 
 import contextlib
 import socket
 import time
-from collections.abc import Sequence
 from typing import Any, Self
 
 from koala3d.capture.drivers.errors import RigConnectionError
 from koala3d.capture.drivers.ur import primary
+from koala3d.capture.drivers.ur.modes import RobotMode, SafetyMode, name_of
 from koala3d.capture.drivers.ur.rtde.stream import RtdeStream
 
 RATE_HZ, TIMEOUT_S = 50.0, 1.0
@@ -18,11 +18,6 @@ STOP_S = 2.0  # until the arm rests: joints that turn at 2 rad/s slow down at 3 
 STOP = "def koala_stop():\n  stopj(3.0)\nend\n"
 STATES = {2: "PLAYING", 3: "PAUSED", 4: "PAUSED", 5: "PLAYING"}
 """The dashboard's words for numbers in `runtime_state`: playing, pausing, paused and resuming. Others are "STOPPED"."""
-SAFETY = (
-    "UNKNOWN NORMAL REDUCED PROTECTIVE_STOP RECOVERY SAFEGUARD_STOP SYSTEM_EMERGENCY_STOP ROBOT_EMERGENCY_STOP VIOLATION FAULT"
-).split()
-MODES = "DISCONNECTED CONFIRM_SAFETY BOOTING POWER_OFF POWER_ON IDLE BACKDRIVE RUNNING UPDATING_FIRMWARE".split()
-"""Names of the numbers in `safety_mode` and `robot_mode` (Universal Robots, "Real-Time Data Exchange guide")."""
 
 
 def program_state(runtime_state: int) -> str:
@@ -76,11 +71,11 @@ class StandIn:
 
     def safety_status(self) -> str:
         """By the names of the dashboard."""
-        return _named(SAFETY, self._now()["safety_mode"])
+        return name_of(SafetyMode, self._now()["safety_mode"])
 
     def robot_mode(self) -> str:
         """By the names of the dashboard."""
-        return _named(MODES, self._now()["robot_mode"])
+        return name_of(RobotMode, self._now()["robot_mode"])
 
     def remote_control(self) -> bool:
         """Not asked: without it the control program does not start, and that is reported."""
@@ -110,10 +105,6 @@ class StandIn:
         if sample is None:
             raise _silent(self.host, "no sample within a second")
         return sample
-
-
-def _named(names: Sequence[str], number: int) -> str:
-    return names[number] if 0 <= number < len(names) else str(number)
 
 
 def _silent(host: str, why: str) -> RigConnectionError:

@@ -5,11 +5,11 @@ Time is the controller's own [s] and is passed in. Nothing here uses sockets.
 
 import zlib
 from collections import deque
-from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
+from koala3d.capture.drivers.ur.modes import RobotMode, SafetyMode, may_move
 from koala3d.capture.model.arm import DEFAULT, ArmModel, load_arm
 from koala3d.capture.model.kinematics import Links, forward
 from koala3d.capture.sim.controller.profiles import Braking, Chain, Joints, Move, Profile
@@ -25,24 +25,6 @@ FLEXURE_HZ, FLEXURE_DECAY_S, FLEXURE_PER_ACCELERATION = 9.0, 0.07, 1.5e-3
 SPEED_NOISE_PER_S = 250.0
 """Noise of measured speeds per noise of measured angles [1/s]: they are differences of angles 4 ms apart."""
 QUIET_S = 0.36  # this long after a stop both have decayed to less than a hundredth, and count as zero [s]
-
-
-class RobotMode(IntEnum):
-    """The controller's robot modes."""
-
-    POWER_OFF = 3
-    IDLE = 5
-    RUNNING = 7
-
-
-class Safety(IntEnum):
-    """The controller's safety modes."""
-
-    NORMAL = 1
-    REDUCED = 2
-    PROTECTIVE_STOP = 3
-    SAFEGUARD_STOP = 5
-    ROBOT_EMERGENCY_STOP = 7
 
 
 class SimulatedArm:
@@ -73,7 +55,7 @@ class SimulatedArm:
         self._noise = np.random.default_rng([seed, 11])
         self.deviation = repeatability_m, repeatability_rad
         self.flange_from_tcp = np.eye(4)
-        self.mode, self.safety = RobotMode.RUNNING, Safety.NORMAL
+        self.mode, self.safety = RobotMode.RUNNING, SafetyMode.NORMAL
         self.profile: Profile = Braking(np.asarray(home, np.float64), np.zeros(len(home)), 1.0)
         self.speed_fraction = 1.0
         self.joint_limits = np.stack([self.model.lower, self.model.upper])
@@ -86,7 +68,7 @@ class SimulatedArm:
     @property
     def may_move(self) -> bool:
         """Powered, brakes released and not stopped for safety."""
-        return self.mode is RobotMode.RUNNING and self.safety in (Safety.NORMAL, Safety.REDUCED)
+        return self.mode is RobotMode.RUNNING and may_move(self.safety.name)
 
     def phase(self, now: float) -> float:
         """Time within the motion [s]: slower than the clock where the speed slider is below 100 %."""
@@ -185,7 +167,7 @@ class SimulatedArm:
         """Stop for safety where a joint has left its range."""
         angles = self.target(now)[0]
         if self.may_move and not ((self.joint_limits[0] <= angles) & (angles <= self.joint_limits[1])).all():
-            self.stop_for_safety(Safety.PROTECTIVE_STOP, now)
+            self.stop_for_safety(SafetyMode.PROTECTIVE_STOP, now)
 
     def reaches(self, joints: Joints) -> bool:
         """Whether the flange may go there."""
@@ -194,7 +176,7 @@ class SimulatedArm:
     def move_to(self, goal: Joints, speed: float, acceleration: float, now: float) -> None:
         """Start a movej; a moving arm slows down to rest first."""
         if not np.isfinite(goal).all() or not self.model.inside(goal):
-            self.stop_for_safety(Safety.PROTECTIVE_STOP, now)
+            self.stop_for_safety(SafetyMode.PROTECTIVE_STOP, now)
             return
         angles, speeds, _ = self.target(now)
         acceleration = max(acceleration, 1e-3)
@@ -208,11 +190,11 @@ class SimulatedArm:
             angles, speeds, _ = self.target(now)
             self.begin(Braking(angles, speeds, max(deceleration, 0.1)), now)
 
-    def stop_for_safety(self, safety: Safety, now: float) -> None:
+    def stop_for_safety(self, safety: SafetyMode, now: float) -> None:
         """Protective or emergency stop: slow down as fast as possible; an emergency stop also cuts the power."""
         self.stop(SAFETY_DECELERATION, now)
         self.safety = safety
-        if safety is Safety.ROBOT_EMERGENCY_STOP:
+        if safety is SafetyMode.ROBOT_EMERGENCY_STOP:
             self.mode = RobotMode.POWER_OFF
 
     def _stopping_error(self) -> NDArray[np.float64]:

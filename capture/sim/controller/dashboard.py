@@ -1,6 +1,7 @@
 """The dashboard server's protocol: one line in, one line out."""
 
-from koala3d.capture.sim.controller.arm import RobotMode, Safety, SimulatedArm
+from koala3d.capture.drivers.ur.modes import RobotMode, SafetyMode
+from koala3d.capture.sim.controller.arm import SimulatedArm
 from koala3d.capture.sim.controller.state import Controller
 
 GREETING = "Connected: Universal Robots Dashboard Server"
@@ -40,11 +41,11 @@ def reply(controller: Controller, line: str) -> str:
 
 def _act(arm: SimulatedArm, word: str) -> str:
     if word == "unlock protective stop":
-        if arm.safety is Safety.PROTECTIVE_STOP:
-            arm.safety = Safety.NORMAL
+        if arm.safety is SafetyMode.PROTECTIVE_STOP:
+            arm.safety = SafetyMode.NORMAL
         return "Protective stop releasing"
     if word == "power on":
-        arm.safety, arm.mode = Safety.NORMAL, RobotMode.IDLE
+        arm.safety, arm.mode = SafetyMode.NORMAL, RobotMode.IDLE
         return "Powering on"
     if word == "power off":
         arm.mode = RobotMode.POWER_OFF

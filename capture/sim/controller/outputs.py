@@ -9,22 +9,32 @@ from typing import Any
 
 import numpy as np
 
+from koala3d.capture.drivers.ur.modes import RobotMode, SafetyMode, is_guarded, may_move
 from koala3d.capture.drivers.ur.rtde import wire
 from koala3d.capture.model.kinematics import forward, link_frames
-from koala3d.capture.sim.controller.arm import RobotMode, Safety
 from koala3d.capture.sim.controller.profiles import Joints
 from koala3d.capture.sim.controller.state import Controller
 
 STOPPED_STATE, RUNNING_STATE, PAUSED_STATE = 1, 2, 4
 SAFETY_BITS = {
-    Safety.NORMAL: 1,
-    Safety.REDUCED: 1 << 1,
-    Safety.PROTECTIVE_STOP: 1 << 2 | 1 << 10,
-    Safety.SAFEGUARD_STOP: 1 << 4 | 1 << 10,
-    Safety.ROBOT_EMERGENCY_STOP: 0b11 << 6 | 1 << 10,
+    SafetyMode.NORMAL: 1,
+    SafetyMode.REDUCED: 1 << 1,
+    SafetyMode.PROTECTIVE_STOP: 1 << 2,
+    SafetyMode.RECOVERY: 1 << 3,
+    SafetyMode.SYSTEM_EMERGENCY_STOP: 1 << 5 | 1 << 7,
+    SafetyMode.ROBOT_EMERGENCY_STOP: 1 << 6 | 1 << 7,
+    SafetyMode.VIOLATION: 1 << 8,
+    SafetyMode.FAULT: 1 << 9,
 }
-"""Bit 10: stopped for safety; an emergency stop is that of the robot and of the system."""
+SAFEGUARD_BIT, STOPPED_BIT = 1 << 4, 1 << 10
+"""Stopped by a safeguard, and for safety at all."""
 GRAVITY = 9.82  # [m/s^2]
+
+
+def safety_bits(mode: SafetyMode) -> int:
+    """Bits of `safety_status_bits` in a safety mode. Those of rare modes are a guess: stopped, and by what the name says."""
+    bits = SAFETY_BITS.get(mode, SAFEGUARD_BIT if is_guarded(mode.name) else 0)
+    return bits if may_move(mode.name) else bits | STOPPED_BIT
 
 
 class Outputs:
@@ -79,7 +89,7 @@ _CHANGING: dict[str, Callable[[Outputs], Any]] = {
         RUNNING_STATE if at.controller.program_running else PAUSED_STATE if at.controller.program_paused else STOPPED_STATE
     ),
     "robot_status_bits": lambda at: int(at.arm.mode is RobotMode.RUNNING) | at.controller.program_running << 1,
-    "safety_status_bits": lambda at: SAFETY_BITS[at.arm.safety],
+    "safety_status_bits": lambda at: safety_bits(at.arm.safety),
     "speed_scaling": lambda at: at.arm.speed_fraction,
     "target_speed_fraction": lambda at: at.arm.speed_fraction,
     "actual_main_voltage": lambda at: 48.0,

@@ -1,4 +1,4 @@
-"""The primary interface of the simulated controller: a version message, then its state ten times a second; takes programs."""
+"""The primary interface of the simulated controller: its version, its state ten times a second, and errors; takes programs."""
 
 import asyncio
 import struct
@@ -21,6 +21,12 @@ def version_message(version: tuple[int, ...]) -> bytes:
     return package(primary.MESSAGE, content)
 
 
+def exception_message(text: str, line: int, column: int) -> bytes:
+    """An error in a program."""
+    content = struct.pack(">Qbb", 0, -2, primary.EXCEPTION) + primary.PLACE.pack(line, column) + text.encode("latin-1", "replace")
+    return package(primary.MESSAGE, content)
+
+
 def state_message(controller: Controller) -> bytes:
     """Tool pose and offset, the calibrated links, and the checksum of the safety settings."""
     arm, links = controller.arm, controller.arm.links if controller.installed.calibrated else controller.arm.model.links
@@ -35,16 +41,22 @@ def state_message(controller: Controller) -> bytes:
 
 
 async def serve(server: ControllerServer, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-    """Serve one connection until the client leaves: it hears the state, and may send programs as to the script port."""
+    """Serve one connection until the client leaves: it hears state and errors, and may send programs as to the script port."""
     if not server.controller.installed.primary:
         writer.close()
         return
     writer.write(version_message(server.controller.installed.version))
     telling = asyncio.create_task(_tell(server, writer))
+
+    def tell_error(text: str, line: int, column: int) -> None:
+        writer.write(exception_message(text, line, column))
+
+    server.listeners.append(tell_error)
     with closing(writer):
         try:
             await server.take_programs(reader)
         finally:
+            server.listeners.remove(tell_error)
             telling.cancel()
 
 

@@ -12,9 +12,12 @@ from collections.abc import Callable, Generator
 import numpy as np
 from numpy.typing import NDArray
 
+from koala3d.capture.drivers.ur.modes import SafetyMode
 from koala3d.capture.model import kinematics
 from koala3d.capture.model.kinematics import Joints, pose_from_six, six_from_pose
-from koala3d.capture.sim.controller.arm import Safety, SimulatedArm
+from koala3d.capture.sim.controller.arm import SimulatedArm
+from koala3d.capture.sim.controller.urscript import parser
+from koala3d.capture.sim.controller.urscript.lexer import ScriptError
 from koala3d.datasets import pose
 
 log = logging.getLogger(__name__)
@@ -37,14 +40,16 @@ def is_whole(text: bytes | bytearray) -> bool:
     return text.endswith(b"\n") and text[-80:].rstrip().endswith(b"\nend")
 
 
-def refusal_of_part(text: bytes | bytearray, *, ended: bool) -> str:
-    """Why what has arrived on the script port can become no program; empty: it can. `ended`: nothing follows."""
+def check_part(text: bytes | bytearray, *, ended: bool) -> None:
+    """Return if what has arrived can become a program, else raise ScriptError. `ended`: nothing follows."""
     begun = text.lstrip()
     if len(text) > MAX_PROGRAM:
-        return f"a program has more than {MAX_PROGRAM} bytes and no end"
+        raise ScriptError(f"a program has more than {MAX_PROGRAM} bytes and no end")
     if begun and (ended or b"\n" in begun) and not begun.startswith((b"def ", b"#")):
-        return f"not simulated: the line {begun[:60].splitlines()[0].decode('latin-1')!r}; a program begins with 'def'"
-    return "a program without its last line, 'end'" if begun and ended else ""
+        line = begun[:60].splitlines()[0].decode("latin-1")
+        raise ScriptError(f"not simulated: the line {line!r}; a program begins with 'def'")
+    if begun and ended:
+        raise ScriptError("a program without its last line, 'end'")
 
 
 def stop_of(text: str) -> float | None:
@@ -53,17 +58,17 @@ def stop_of(text: str) -> float | None:
     return float(found[1]) if found else None
 
 
-def refusal(text: str) -> str:
-    """Why a program is not simulated; empty: it is the control program of a client that uses simulated registers."""
+def check(text: str) -> None:
+    """Return if this is the control program of a client. Raises ScriptError: it does not compile, or is not simulated."""
+    parser.check(text)
     offset = _OFFSET.search(text)
     if offset is None:
-        return "not simulated: a program other than the control program of a client"
+        raise ScriptError("not simulated: a program other than the control program of a client")
     if int(offset[1]) not in (0, REGISTERS // 2):
-        return f"not simulated: a control program with registers from {offset[1]} on"
+        raise ScriptError(f"not simulated: a control program with registers from {offset[1]} on")
     for kind, number in _REGISTER_CALL.findall(text):
         if kind == "boolean" or int(number) >= REGISTERS:
-            return f"not simulated: {kind} register {number}, which the program uses"
-    return ""
+            raise ScriptError(f"not simulated: {kind} register {number}, which the program uses")
 
 
 class ControlProgram:
@@ -73,7 +78,7 @@ class ControlProgram:
     """
 
     def __init__(self, arm: SimulatedArm, text: str, report: Callable[[str], None] = log.warning) -> None:
-        self.arm, self._report = arm, report
+        self.arm, self.text, self._report = arm, text, report
         offset = _OFFSET.search(text)
         self.offset = 24 if offset and offset[1] == "24" else 0
         self.running, self.paused, self.now = True, False, 0.0
@@ -229,7 +234,7 @@ ACTIONS: dict[int, Callable[[ControlProgram], "Generator[None] | None"]] = {
     **dict.fromkeys((15, 16), _stop),
     **dict.fromkeys((33, 34), lambda at: _stop(at, asynchronous=at.int_argument(1))),
     29: _set_tcp,
-    31: lambda at: at.arm.stop_for_safety(Safety.PROTECTIVE_STOP, at.now),
+    31: lambda at: at.arm.stop_for_safety(SafetyMode.PROTECTIVE_STOP, at.now),
     35: _watchdog,
 }
 """What commands do; a generator blocks the program until it ends."""

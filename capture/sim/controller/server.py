@@ -8,7 +8,7 @@ import logging
 import random
 import struct
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from koala3d.capture.drivers.ur.rtde import wire
@@ -18,6 +18,7 @@ from koala3d.capture.sim.controller.installation import Installation
 from koala3d.capture.sim.controller.outputs import Outputs
 from koala3d.capture.sim.controller.session import Session
 from koala3d.capture.sim.controller.state import Controller
+from koala3d.capture.sim.controller.urscript.lexer import ScriptError
 
 RTDE_PORT, SCRIPT_PORT, DASHBOARD_PORT = 30004, 30003, 29999
 log = logging.getLogger(__name__)
@@ -29,13 +30,18 @@ class ControllerServer:
     def __init__(self, arm: SimulatedArm, time_scale: float, installed: Installation) -> None:
         self.controller = Controller(arm, time_scale, installed, self.report)
         self.sessions: list[Session] = []
+        self.listeners: list[Callable[[str, int, int], None]] = []
+        """Told of every error with its line and column in the program; 0: it has none."""
         self._latency, self._held_until = random.Random(arm.seed), 0.0
 
-    def report(self, message: str) -> None:
+    def report(self, message: str, line: int = 0, column: int = 0) -> None:
         """Log an error and send it to every client."""
-        log.warning(message)
+        text = str(ScriptError(message, line, column))
+        log.warning(text)
+        for listener in self.listeners:
+            listener(message, line, column)
         for session in list(self.sessions):
-            session.send(wire.text_message(message, session.version))
+            session.send(wire.text_message(text, session.version))
 
     def step(self) -> None:
         """One cycle of the controller, then data to every connection."""
@@ -80,14 +86,15 @@ class ControllerServer:
             chunk = await reader.read(65536)
             await self._answering()
             text += chunk
-            if script.is_whole(text):
-                refused = self.controller.upload(text.decode("latin-1"))
-                text.clear()
-            else:
-                refused = script.refusal_of_part(text, ended=not chunk)
-            if refused:
-                self.report(refused)
-                return refused
+            try:
+                if script.is_whole(text):
+                    self.controller.upload(text.decode("latin-1"))
+                    text.clear()
+                else:
+                    script.check_part(text, ended=not chunk)
+            except ScriptError as error:
+                self.report(error.why, error.line, error.column)
+                return str(error)
         return ""
 
     async def serve_dashboard(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:

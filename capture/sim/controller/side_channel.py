@@ -5,15 +5,16 @@ One JSON object per line, {"do": "drop"}; one reply per line. No real controller
 
 import asyncio
 import json
+import math
 import time
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
+from koala3d.capture.drivers.ur.modes import RobotMode, SafetyMode
 from koala3d.capture.model.arm import load_arm
 from koala3d.capture.model.kinematics import JOINT_LIMIT, pose_from_six
-from koala3d.capture.sim.controller.arm import RobotMode, Safety
 from koala3d.capture.sim.controller.installation import Installation
 from koala3d.capture.sim.controller.server import ControllerServer, closing
 from koala3d.capture.sim.controller.state import Controller
@@ -68,6 +69,11 @@ def _motions(controller: Controller, settle_spread: float = 5e-5) -> dict[str, A
     return {"motions": [[start, profile.duration, arm.swings_for(profile, settle_spread)] for start, profile in arm.motions]}
 
 
+def _program(controller: Controller) -> dict[str, Any]:
+    """The text of the newest control program; empty: there was none."""
+    return {"text": controller.program.text if controller.program is not None else ""}
+
+
 def _silent(controller: Controller, seconds: float) -> None:
     """Send no data for some real time; the connections stay open, the dashboard answers."""
     controller.silent_until = time.monotonic() + seconds
@@ -103,7 +109,12 @@ def _install(controller: Controller, model: str = "", tcp: list[float] | None = 
 
 def _safety(controller: Controller, mode: str = "NORMAL", power: str = "RUNNING") -> None:
     """Put the controller into a safety mode and a robot mode, by name."""
-    controller.arm.safety, controller.arm.mode = Safety[mode], RobotMode[power]
+    controller.arm.safety, controller.arm.mode, controller.guarded_until = SafetyMode[mode], RobotMode[power], math.inf
+
+
+def _safeguard(controller: Controller, mode: str = "SAFEGUARD_STOP", seconds: float = math.inf) -> None:
+    """Pause the program by a safeguard, which lets it go on by itself after some real time."""
+    controller.arm.safety, controller.guarded_until = SafetyMode[mode], time.monotonic() + seconds
 
 
 def _joint_limit(controller: Controller, joint: int = 1, lower_deg: float = -360.0, upper_deg: float = 360.0) -> None:
@@ -124,8 +135,9 @@ def _speed_slider(controller: Controller, fraction: float) -> None:
 ACTIONS: dict[str, Callable[..., dict[str, Any] | None]] = {
     "truth": _truth,
     "motions": _motions,
-    "protective_stop": lambda controller: controller.arm.stop_for_safety(Safety.PROTECTIVE_STOP, controller.now),
-    "emergency_stop": lambda controller: controller.arm.stop_for_safety(Safety.ROBOT_EMERGENCY_STOP, controller.now),
+    "program": _program,
+    "protective_stop": lambda controller: controller.arm.stop_for_safety(SafetyMode.PROTECTIVE_STOP, controller.now),
+    "emergency_stop": lambda controller: controller.arm.stop_for_safety(SafetyMode.ROBOT_EMERGENCY_STOP, controller.now),
     "stop_program": Controller.stop_program,
     "silent": _silent,
     "hang": _hang,
@@ -133,6 +145,7 @@ ACTIONS: dict[str, Callable[..., dict[str, Any] | None]] = {
     "refuse_stop": _refuse_stop,
     "install": _install,
     "safety": _safety,
+    "safeguard": _safeguard,
     "joint_limit": _joint_limit,
     "reach": _reach,
     "speed_slider": _speed_slider,

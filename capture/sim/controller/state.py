@@ -1,11 +1,13 @@
 """The simulated controller apart from its ports: its arm, its settings, the program that runs, and the faults that are on."""
 
+import math
 import time
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
+from koala3d.capture.drivers.ur.modes import SafetyMode, is_guarded
 from koala3d.capture.drivers.ur.rtde import wire
 from koala3d.capture.model.kinematics import six_from_pose
 from koala3d.capture.sim.controller import script
@@ -30,6 +32,7 @@ class Controller:
         self.digital_outputs = 0
         self.silent_until, self.hung_until = 0.0, 0.0
         self.deaf, self.unstoppable = False, False
+        self.guarded_until = math.inf  # real time at which a safeguard lets the program go on by itself [s]
         self._input_written_s = 0.0
         self._start = time.monotonic()
         self._poses: dict[bytes, np.ndarray] = {}
@@ -82,15 +85,14 @@ class Controller:
         self.arm.resume(self.now)
         return True
 
-    def upload(self, text: str) -> str:
-        """Start a program, as the script port does with every one that it receives; why it is refused, or nothing."""
+    def upload(self, text: str) -> None:
+        """Start a program, as the script port does with every one that it receives. Raises ScriptError: it is refused."""
         if (deceleration := script.stop_of(text)) is not None:
             if not self.unstoppable:
                 self.stop_program()
                 self.arm.stop(deceleration, self.now)
-            return ""
-        if refused := script.refusal(text):
-            return refused
+            return
+        script.check(text)
         if self.arm.may_move:
             self.installed.program = ""
             previous, self.program = self.program, script.ControlProgram(self.arm, text, self.report)
@@ -99,7 +101,6 @@ class Controller:
             self.arm.stop(3.0, self.now)
             self._input_written_s = time.monotonic()
             self.program.cycle(self.now)
-        return ""
 
     def write_inputs(self, values: dict[str, Any]) -> None:
         """Registers and outputs that a client sets; the program sees them at once."""
@@ -125,9 +126,16 @@ class Controller:
         """One cycle of the program, the safety limits and the watchdog."""
         program, now = self.program, self.now
         self.arm.check_limits(now)
+        guarded = is_guarded(self.arm.safety.name)
+        if guarded:
+            self.pause_program()
+        if guarded and time.monotonic() > self.guarded_until:
+            self.arm.safety, guarded = SafetyMode.NORMAL, False
+            self.play_program()
         if program is not None and program.running:
             late = time.monotonic() - self._input_written_s
-            if not self.arm.may_move or (program.watchdog_s is not None and late > program.watchdog_s):
+            stopped = not self.arm.may_move and not guarded
+            if stopped or (program.watchdog_s is not None and late > program.watchdog_s):
                 program.end(now)
             elif not self.deaf:
                 program.cycle(now)

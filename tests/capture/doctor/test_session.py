@@ -5,6 +5,7 @@ import logging
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from koala3d.capture.cli import main
@@ -118,3 +119,20 @@ def test_the_commands(run_inside, simulated, tmp_path: Path):
     simulated.ask("install")
     good = capture("doctor", "--rig", rig, "--seconds", 0.2, "--json")
     assert good.returncode == 0 and {line["verdict"] for line in json.loads(good.stdout)["lines"]} == {"ok", "unknown"}
+
+
+def test_a_replay_begins_with_the_doctor_and_needs_the_recorded_arm(run_inside, simulated, tmp_path: Path):
+    capture = partial(run_inside, main, "capture")
+    rig, out, small = tmp_path / "rig.yaml", tmp_path / "rec", tmp_path / "small.yaml"
+    small.write_text(SESSION)
+    write_simulated_rig(rig, simulated, "shiny_ball", 3)
+    assert capture("run", small, "--rig", rig, "--out", out).returncode == 0
+    rests = simulated.ask("truth")["joints"]
+    simulated.ask("install", payload_kg=0.0)
+    refused = capture("replay", out, "--rig", rig)
+    assert (refused.returncode, refused.stderr.count("\n")) == (1, 1) and "payload: none entered" in refused.stderr
+    simulated.ask("install")
+    refused = capture("replay", out, "--rig", "sim:ur10e_gige")
+    assert (refused.returncode, refused.stderr.count("\n")) == (2, 1) and "recorded with another arm" in refused.stderr
+    np.testing.assert_allclose(simulated.ask("truth")["joints"], rests, atol=1e-9)
+    assert capture("replay", out, "--rig", rig).returncode == 0

@@ -21,7 +21,7 @@ INSTALLED = {
     "tool_offset": (0.0,) * 6,
     "safety_checksum": PLAIN.checksum,
 }
-RIG = RigDescription.model_validate({"robot": {"installation": INSTALLED}})
+RIG = RigDescription.model_validate({"robot": {"client": "ur_rtde", "installation": INSTALLED}})
 GAP_S = 2.0  # a busy computer pauses for half a second
 
 
@@ -60,6 +60,13 @@ def test_what_a_fault_hides_is_unknown_with_a_remedy(simulated, name):
     simulated.ask("install")
     assert (named(lines, Verdict.WRONG), named(lines, Verdict.UNKNOWN)) == (wrong, unknown)
     assert all(line.remedy for line in lines if line.verdict is not Verdict.OK)
+
+
+def test_the_client_koala_needs_the_primary_interface(simulated):
+    simulated.ask("install", primary=False)
+    lines = examined(simulated.host, RigDescription.model_validate({"robot": {"client": "koala"}}))
+    simulated.ask("install")
+    assert named(lines, Verdict.WRONG) == {"primary interface"}
 
 
 def test_what_the_rig_file_does_not_state_is_unknown_and_shown(simulated):

@@ -26,6 +26,7 @@ class StandInRobot:
 
     def __init__(self) -> None:
         self.joints, self.moves, self.fail_after = load_arm("ur5e").home.copy(), 0, 10_000
+        self.order: dict[str, float] = {}
 
     def __enter__(self) -> Self:
         return self
@@ -35,7 +36,7 @@ class StandInRobot:
     def move_to(self, joints: np.ndarray, *, speed: float, acceleration: float) -> None:
         if self.moves >= self.fail_after:
             raise MotionError("did not arrive", remedy="resume the recording")
-        self.joints, self.moves = np.array(joints), self.moves + 1
+        self.joints, self.moves, self.order = np.array(joints), self.moves + 1, {"speed": speed, "acceleration": acceleration}
 
     def state(self, *, newer_than_ns: int = 0) -> RobotState:
         return RobotState(kinematics.forward(self.joints), self.joints.copy(), np.zeros(6), time.monotonic(), time.monotonic_ns())
@@ -196,12 +197,22 @@ def test_nothing_is_overwritten(trajectory, rig, views, tmp_path):
 
 def test_another_session_cannot_resume_here(trajectory, rig, views, tmp_path):
     record(trajectory, rig, tmp_path / "rec", planned=views[:1])
-    slower = trajectory.model_copy(update={"motion": trajectory.motion.model_copy(update={"speed": 0.5})})
-    with pytest.raises(UsageError, match="another trajectory"):
-        record(slower, rig, tmp_path / "rec", resume=True, planned=views)
+    for change in ({"speed": 2.0}, {"speed": 0.5, "acceleration": 9.0}, {"speed": 0.5, "settle_time_s": 7.0}):
+        other = trajectory.model_copy(update={"motion": trajectory.motion.model_copy(update=change)})
+        with pytest.raises(UsageError, match="another trajectory"):
+            record(other, rig, tmp_path / "rec", resume=True, planned=views)
     other = Rig(rig.robot, rig.camera, rig.description, rig.name, rig.ground_truth, {"scene": "gold_head", "seed": 1})
     with pytest.raises(UsageError, match="another seed"):
         record(trajectory, other, tmp_path / "rec", resume=True, planned=views)
+
+
+def test_a_recording_is_resumed_more_slowly(trajectory, rig, views, tmp_path):
+    before = record(trajectory, rig, tmp_path / "rec", planned=views[:1]).manifest
+    slow = {"speed": 0.1, "acceleration": 0.3}
+    slower = trajectory.model_copy(update={"motion": trajectory.motion.model_copy(update=slow)})
+    found = record(slower, rig, tmp_path / "rec", resume=True, planned=views[:2])
+    assert len(found.frames) == 2 and found.manifest == before and rig.robot.order == slow
+    assert len(record(trajectory, rig, tmp_path / "rec", resume=True, planned=views).frames) == len(views)
 
 
 def test_incomplete_files_of_a_kill_are_removed(trajectory, rig, views, tmp_path):

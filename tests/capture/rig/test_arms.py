@@ -9,7 +9,7 @@ from koala3d.capture.cli import main
 from koala3d.capture.model.rig import load_rig, recorded_carrier
 from koala3d.capture.model.trajectory import Trajectory, load_trajectory
 from koala3d.capture.planning import plan
-from koala3d.capture.recording.replay import replay, summary
+from koala3d.capture.recording.replay import obstacles_around, replay, summary
 from koala3d.capture.rig.arms import open_arm
 from koala3d.capture.rig.controllers import controller_model
 from koala3d.capture.rig.naming import describe
@@ -61,7 +61,7 @@ def test_a_shipped_rig_is_simulated_recorded_replayed_and_built(run_inside, name
         assert 1e-5 < off < 0.01 and turn < 0.02, "as built, within millimetres of the nominal arm"
 
     with open_arm(f"sim:{name}", chosen, seed=3, links_seed=2, time_scale=50.0) as (robot, _):
-        found = summary(replay(recording, robot))
+        found = summary(replay(recording, robot, obstacles_around(recording, describe(f"sim:{name}"))))
     assert found["joints_deg"]["worst"] < 0.02 and found["translation_mm"]["worst"] < 0.5
 
     truth = files.read_json(tmp_path / "rec" / "truth" / "poses.json")

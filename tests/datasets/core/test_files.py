@@ -46,7 +46,8 @@ def test_a_killed_writer_leaves_no_half_file_under_the_name(tmp_path: Path) -> N
 
 def test_an_interrupted_folder_writer_cleans_up(tmp_path: Path) -> None:
     code = (
-        "import sys, time; from koala3d.datasets.core import files\n"
+        "import signal, time; from koala3d.datasets.core import files\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         f"with files.atomic_folder({str(tmp_path / 'scene')!r}) as f:\n"
         "    (f / 'a').write_bytes(b'x'); print('half', flush=True); time.sleep(60)\n"
     )

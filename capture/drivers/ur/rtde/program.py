@@ -73,7 +73,7 @@ def koala_control():
     write_output_integer_register(first + 2, progress)
   end
 
-  def halt(deceleration):
+  def come_to_rest(deceleration):
     if moving:
       if not arrived:
         kill motion
@@ -85,7 +85,7 @@ def koala_control():
   end
 
   def start_move():
-    halt(argument(7))
+    come_to_rest(argument(7))
     target = [argument(0), argument(1), argument(2), argument(3), argument(4), argument(5)]
     speed = argument(6)
     acceleration = argument(7)
@@ -130,7 +130,7 @@ def koala_control():
       if command == {move}:
         start_move()
       elif command == {stop}:
-        halt(argument(0))
+        come_to_rest(argument(0))
       elif command == {watchdog}:
         rtde_set_watchdog("input_int_register_{first}", argument(0), "stop")
       elif command == {tcp_offset}:
@@ -141,12 +141,12 @@ def koala_control():
     sync()
     command = read_input_integer_register(first)
   end
-  halt(3.0)
+  come_to_rest(3.0)
 end
 """
 
 
 def text() -> str:
-    """The program, ready to be sent to the script port."""
+    """The program, ready to be sent to the controller."""
     commands = {command.name.lower(): int(command) for command in Command}
     return _PROGRAM.format(first=FIRST, running=RUNNING_BIT, ready=READY, done=DONE, **commands)

@@ -39,6 +39,7 @@ def test_pictures_move_on_in_colour_and_in_grey():
         assert np.unique(first.pixels).size > 1
 
 
+@pytest.mark.usefixtures("ctrl_c")
 def test_ctrl_c_still_interrupts_while_the_camera_is_open_and_afterwards():
     with GenTlCamera(SETTINGS, device()) as camera, pytest.raises(KeyboardInterrupt):
         camera.grab()

@@ -8,6 +8,7 @@ import pytest
 from koala3d.capture.drivers.ur import koala_client
 from koala3d.capture.drivers.ur.client import StartError, StartFailure
 from koala3d.capture.drivers.ur.koala_client import KoalaClient
+from koala3d.capture.drivers.ur.rtde import program
 from koala3d.capture.sim.controller.process import SimulatedController
 from tests.moments import until
 
@@ -107,6 +108,21 @@ def test_a_stopped_arm_runs_no_program(simulated, monkeypatch):
     monkeypatch.setattr(koala_client, "START_S", 0.5)
     simulated.ask("protective_stop")
     with pytest.raises(StartError, match="the control program does not run"):
+        KoalaClient(simulated.host, frequency=250.0, watchdog_hz=1.0)
+
+
+def test_a_program_that_does_not_compile_is_refused_in_the_controllers_words(simulated, monkeypatch):
+    text = program.text().replace("come_to_rest", "halt")
+    monkeypatch.setattr(koala_client.program, "text", lambda: text)
+    refusal = r"refuses the control program: line \d+, column 7: 'halt' is a word of the language"
+    with pytest.raises(StartError, match=refusal):
+        KoalaClient(simulated.host, frequency=250.0, watchdog_hz=1.0)
+    assert not simulated.ask("truth")["program_running"]
+
+
+def test_a_closed_primary_interface_is_named(simulated):
+    simulated.ask("install", primary=False)
+    with pytest.raises(StartError, match=r"port 30001 takes no program: .*; open 'Primary/Secondary'"):
         KoalaClient(simulated.host, frequency=250.0, watchdog_hz=1.0)
 
 

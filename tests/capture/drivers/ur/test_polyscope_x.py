@@ -46,6 +46,7 @@ def test_it_goes_where_it_is_sent(simulated):
     assert not simulated.ask("truth")["program_running"]
 
 
+@pytest.mark.usefixtures("ctrl_c")
 def test_ctrl_c_stops_the_arm(simulated):
     with pytest.raises(KeyboardInterrupt), robot_at(simulated.host) as robot:
         with in_motion(simulated, lambda: os.kill(os.getpid(), signal.SIGINT)):

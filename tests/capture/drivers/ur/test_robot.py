@@ -114,6 +114,8 @@ def test_an_unsafe_target_moves_nothing(connect, simulated):
     [
         pytest.param("protective_stop", {}, ProtectiveStop, "protective stop: the arm stands still", marks=VENDORS),
         ("emergency_stop", {}, NotReady, "safety status ROBOT_EMERGENCY_STOP"),
+        pytest.param("safeguard", {}, NotReady, "safety status SAFEGUARD_STOP.*close the fence", marks=VENDORS),
+        ("safeguard", {"mode": "TP_THREE_POSITION_ENABLING_STOP"}, NotReady, "THREE_POSITION_ENABLING_STOP.*close the fence"),
         pytest.param("stop_program", {}, MotionError, "program was stopped", marks=VENDORS),
         pytest.param("drop", {}, RigConnectionError, "lost|broke down", marks=pytest.mark.both_clients),
         ("silent", {"seconds": 60}, RigConnectionError, "data stream stands still"),
@@ -125,6 +127,15 @@ def test_a_fault_in_motion_leaves_the_arm_stopped_and_one_clear_error(connect, s
             robot.move_to(FAR, **UNHURRIED)
     assert "\n" not in str(caught.value) and slow.host in str(caught.value)
     assert stopped_on_its_way(slow)
+
+
+@pytest.mark.both_clients
+def test_a_safeguard_that_lets_go_by_itself_does_not_set_the_arm_in_motion_again(connect, slow):
+    with pytest.raises(CaptureError, match=r"the robot (is|was) stopped for safety"), connect(slow) as robot:
+        with in_motion(slow, lambda: slow.ask("safeguard", seconds=0.5)):
+            robot.move_to(FAR, **UNHURRIED)
+    until(lambda: slow.ask("truth")["safety"] == "NORMAL", "the safeguard to let go")
+    assert stopped_on_its_way(slow) and not slow.ask("truth")["program_running"]
 
 
 @pytest.mark.both_clients
@@ -246,6 +257,7 @@ def _quiet(simulated):
     return truth["phase_s"] > truth["motion_s"] + QUIET_S
 
 
+@pytest.mark.usefixtures("ctrl_c")
 def test_ctrl_c_in_motion_stops_the_arm(connect, slow):
     with pytest.raises(KeyboardInterrupt), connect(slow) as robot:
         with in_motion(slow, lambda: os.kill(os.getpid(), signal.SIGINT)):

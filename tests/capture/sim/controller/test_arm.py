@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from koala3d.capture.drivers.ur.modes import SafetyMode
 from koala3d.capture.model.kinematics import UR5E, forward
-from koala3d.capture.sim.controller.arm import PAUSE_S, Safety, SimulatedArm
+from koala3d.capture.sim.controller.arm import PAUSE_S, SimulatedArm
 from koala3d.capture.sim.controller.profiles import Braking
 from koala3d.datasets import pose
 
@@ -65,7 +66,7 @@ def test_the_controller_knows_the_calibrated_links():
 def test_an_emergency_stop_ends_the_motion_and_the_power():
     arm = _arm()
     arm.move_to(GOAL, 1.0, 1.4, 0.0)
-    arm.stop_for_safety(Safety.ROBOT_EMERGENCY_STOP, 0.8)
+    arm.stop_for_safety(SafetyMode.ROBOT_EMERGENCY_STOP, 0.8)
     assert isinstance(arm.profile, Braking) and arm.profile.duration < 0.2 and not arm.may_move
     assert np.abs(arm.target(5.0)[0] - GOAL).max() > 0.1
 
@@ -73,7 +74,7 @@ def test_an_emergency_stop_ends_the_motion_and_the_power():
 def test_a_target_beyond_the_joint_limits_is_a_protective_stop():
     arm = _arm()
     arm.move_to(np.array([7.0, 0, 0, 0, 0, 0]), 1.0, 1.0, 0.0)
-    assert arm.safety is Safety.PROTECTIVE_STOP and not arm.moving(0.1)
+    assert arm.safety is SafetyMode.PROTECTIVE_STOP and not arm.moving(0.1)
 
 
 def test_the_flange_bends_after_a_stop_beyond_what_the_encoders_see():
@@ -158,5 +159,5 @@ def test_leaving_a_narrowed_joint_range_is_a_protective_stop():
     arm.joint_limits[1, 2] = 0.5
     arm.move_to(GOAL, 1.0, 1.4, 0.0)
     times = np.arange(0, 3, 0.002)
-    stopped = next(now for now in times if arm.check_limits(now) or arm.safety is Safety.PROTECTIVE_STOP)
+    stopped = next(now for now in times if arm.check_limits(now) or arm.safety is SafetyMode.PROTECTIVE_STOP)
     assert 0.5 <= arm.target(stopped + 1)[0][2] < 0.6

@@ -5,7 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from koala3d.capture.sim.controller.arm import RobotMode, Safety, SimulatedArm
+from koala3d.capture.drivers.ur.modes import RobotMode, SafetyMode
+from koala3d.capture.sim.controller.arm import SimulatedArm
 from koala3d.capture.sim.controller.dashboard import reply
 from koala3d.capture.sim.controller.installation import Installation
 
@@ -59,10 +60,10 @@ def test_pause_and_play_fail_where_there_is_nothing_to_do(controller):
 
 
 def test_the_way_back_from_stops(controller):
-    controller.arm.stop_for_safety(Safety.PROTECTIVE_STOP, 0.0)
+    controller.arm.stop_for_safety(SafetyMode.PROTECTIVE_STOP, 0.0)
     assert reply(controller, "safetystatus") == "Safetystatus: PROTECTIVE_STOP"
     assert reply(controller, "unlock protective stop") == "Protective stop releasing" and controller.arm.may_move
-    controller.arm.stop_for_safety(Safety.ROBOT_EMERGENCY_STOP, 0.0)
+    controller.arm.stop_for_safety(SafetyMode.ROBOT_EMERGENCY_STOP, 0.0)
     reply(controller, "brake release")
     assert controller.arm.mode is RobotMode.POWER_OFF
     reply(controller, "power on")

@@ -13,7 +13,8 @@ from koala3d.capture.drivers.ur.rtde import program
 from koala3d.capture.drivers.ur.rtde.wire import packet
 from koala3d.capture.sim.controller.arm import SimulatedArm
 from koala3d.capture.sim.controller.process import SimulatedController
-from koala3d.capture.sim.controller.script import ACTIONS, ANSWERS, DONE, ControlProgram, refusal
+from koala3d.capture.sim.controller.script import ACTIONS, ANSWERS, DONE, ControlProgram, check
+from koala3d.capture.sim.controller.urscript.lexer import ScriptError
 from tests.moments import until
 
 HOME = np.array([0, -np.pi / 2, 0, -np.pi / 2, 0, 0])
@@ -115,18 +116,20 @@ def test_a_program_with_an_impossible_register_offset_does_not_end_the_controlle
 @pytest.mark.parametrize(
     ("line", "why"),
     [
-        ("reg_offset = 47", "registers from 47 on"),
-        ("0\n  write_output_integer_register(48, 1)", "integer register 48"),
-        ("24\n  x = read_input_boolean_register(64)", "boolean register 64"),
+        ("offset = 47", "registers from 47 on"),
+        ("offset = 0\n  write_output_integer_register(48, 1)", "integer register 48"),
+        ("offset = 24\n  x = read_input_boolean_register(64)", "boolean register 64"),
     ],
 )
 def test_a_program_with_registers_that_are_not_simulated_is_refused(line: str, why: str) -> None:
-    assert why in refusal(f"def program():\n  # int register offset\n  {line}\nend\n")
+    with pytest.raises(ScriptError, match=why):
+        check(f"def program():\n  # int register offset\n  {line}\nend\n")
 
 
-def test_the_programs_of_both_clients_are_taken_and_others_are_not() -> None:
-    assert refusal(program.text()) == "" == refusal("def rtde_control():\n  # int register offset\n24\nend\n")
-    assert "other than the control program" in refusal("def program():\n  movej([0, 0, 0, 0, 0, 0])\nend\n")
+def test_our_program_is_taken_and_others_are_not() -> None:
+    check(program.text())
+    with pytest.raises(ScriptError, match="other than the control program"):
+        check("def program():\n  movej([0, 0, 0, 0, 0, 0])\nend\n")
 
 
 @pytest.mark.parametrize("version", [1, 2])

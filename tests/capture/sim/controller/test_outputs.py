@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from koala3d.capture.drivers.ur.modes import SafetyMode
 from koala3d.capture.drivers.ur.rtde import wire
 from koala3d.capture.model.kinematics import forward
-from koala3d.capture.sim.controller.arm import Safety, SimulatedArm
+from koala3d.capture.sim.controller.arm import SimulatedArm
 from koala3d.capture.sim.controller.installation import Installation
 from koala3d.capture.sim.controller.outputs import Outputs
 from koala3d.capture.sim.controller.script import ControlProgram
@@ -56,9 +57,9 @@ def test_states_of_program_and_safety(controller):
     assert read() == (2, 0b11, 0b1)
     controller.program.paused = True
     assert read() == (4, 0b01, 0b1)
-    controller.arm.stop_for_safety(Safety.PROTECTIVE_STOP, 1.0)
+    controller.arm.stop_for_safety(SafetyMode.PROTECTIVE_STOP, 1.0)
     assert read()[2] == 1 << 2 | 1 << 10
-    controller.arm.stop_for_safety(Safety.ROBOT_EMERGENCY_STOP, 1.0)
+    controller.arm.stop_for_safety(SafetyMode.ROBOT_EMERGENCY_STOP, 1.0)
     assert read()[1:] == (0, 1 << 6 | 1 << 7 | 1 << 10)
 
 

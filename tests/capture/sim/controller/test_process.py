@@ -79,7 +79,7 @@ def test_a_computer_with_one_loopback_address_uses_that(monkeypatch):
 
 def test_unknown_requests_name_the_known_ones():
     with SimulatedController.start() as simulated:
-        with pytest.raises(SimulationError, match=r"'dance'.*actions: truth, motions, protective_stop"):
+        with pytest.raises(SimulationError, match=r"'dance'.*actions: truth, motions, program, protective_stop"):
             simulated.ask("dance")
         assert simulated.ask("truth")["mode"] == "RUNNING"
 

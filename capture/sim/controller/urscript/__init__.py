@@ -1,0 +1,1 @@
+"""URScript, as far as a controller reads it before it runs a program."""
