@@ -46,9 +46,10 @@ class Pinhole:
         return (1 / directions[..., 2:]).astype(np.float32)
 
     def resample(self, picture: NDArray[Any], how: str = COLOUR) -> NDArray[Any]:
-        """(height, width, channels) of the new camera from the old one's image, of the same type: uint8, uint16 or float32.
+        """(height, width, channels) of the new camera from the old one's image, of its type: uint8, uint16 or float32.
 
-        With COLOUR and QUICK, the second or fourth channel is a straight alpha, which weights the colours, and floats are clipped to 0..1.
+        With COLOUR and QUICK, the second or fourth channel is a straight alpha, which weights the colours; floats are clipped to
+        0..1.
         """
         has_alpha = how in (COLOUR, QUICK) and picture.shape[-1] in (2, 4)
         result = np.empty((self.camera.height, self.camera.width, picture.shape[-1]), picture.dtype)
