@@ -22,7 +22,8 @@ from koala3d.datasets.camera_model import Camera as Intrinsics
 from koala3d.datasets.core.errors import KoalaError
 from koala3d.datasets.imaging.region import Region
 
-SHARE, GAIN_DB = 0.02, 0.1  # how far exposure (relative) and gain may be from what was asked for
+SHARE, STEP_US, GAIN_DB = 0.02, 35.0, 0.1
+"""How far exposure (relative, or half a step of the sensor) and gain may be from what was asked for."""
 QUICK_S = 0.5  # longest time to make a camera without opening it
 IMPOSSIBLE_US = 1e13  # no camera exposes for a third of a year
 GREY = ("mono8", "mono12")
@@ -211,7 +212,7 @@ def _timed(camera: Camera) -> tuple[int, Image, int]:
 
 
 def _near(found: float, wanted: float) -> bool:
-    return math.isfinite(found) and abs(found - wanted) <= SHARE * wanted
+    return math.isfinite(found) and abs(found - wanted) <= max(SHARE * wanted, STEP_US / 2)
 
 
 def _refused(act: Callable[[], object], what: str) -> None:

@@ -64,6 +64,11 @@ class Emulated(ABC):
         """See `capture.drivers.protocols.Camera`."""
         self._driver.set_exposure(exposure_us)
 
+    @property
+    def exposure_us(self) -> float:
+        """The exposure time that the driver reads back [us]."""
+        return float(self._driver.description()["exposure_us"])
+
     def description(self) -> dict[str, Any]:
         """See `capture.drivers.protocols.Camera`."""
         return self._driver.description()

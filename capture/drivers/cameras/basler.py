@@ -11,6 +11,7 @@ from typing import Any
 from koala3d.capture.drivers.cameras.base import first_line, only_one
 from koala3d.capture.drivers.cameras.genicam import CHANGE, GenicamCamera
 from koala3d.capture.drivers.cameras.genicam_lock import release_abandoned
+from koala3d.capture.drivers.cameras.nodes import Limits
 from koala3d.capture.drivers.cameras.pixels import colours
 from koala3d.capture.drivers.errors import CaptureError, RigConnectionError
 from koala3d.capture.drivers.measurements import Image
@@ -25,6 +26,8 @@ BUFFERS = 2
 EMULATED = "8"
 """How many cameras pylon emulates; their serial numbers are 0815-0000 and so on."""
 EMULATED_SENSOR = {"Width": 1920, "Height": 1080}  # sensor of the simulated rig [px]: that of an acA1920-25uc
+ROW_US = 35.0
+"""Time of a row of the sensor of an acA1920-25uc, in which it exposes [us]."""
 
 
 class Basler(GenicamCamera):
@@ -105,7 +108,7 @@ class Basler(GenicamCamera):
     @property
     def nodes(self) -> "PylonNodes":
         """Its settings."""
-        return PylonNodes(self._camera)
+        return (EmulatedNodes if self.emulated else PylonNodes)(self._camera)
 
     @property
     def serial(self) -> str:
@@ -191,9 +194,11 @@ class PylonNodes:
         """Names of an enumeration's values."""
         return tuple(getattr(getattr(self._camera, name), "Symbolics", ()))
 
-    def step(self, name: str) -> int:
-        """By how much a whole number must change."""
-        return int(getattr(self._camera, name).Inc)
+    def limits(self, name: str) -> Limits:
+        """What a number may be now."""
+        node = getattr(self._camera, name)
+        stepped = getattr(node, "HasInc", lambda: True)()  # a whole number always has one
+        return Limits(node.Min, node.Max, node.Inc if stepped else 0.0)
 
     def write(self, name: str, value: Any) -> None:
         """A command takes None."""
@@ -209,6 +214,23 @@ class PylonNodes:
             limits = f", possible: {node.Min} to {node.Max}" if hasattr(node, "Min") else ""
             why = f"requested {value}: {first_line(error)}{limits}"
             raise CaptureError(f"camera rejected {name}", why=why, remedy=CHANGE) from None
+
+
+class EmulatedNodes(PylonNodes):
+    """The emulated camera, with exposure times in whole rows."""
+
+    def limits(self, name: str) -> Limits:
+        """What a number may be now."""
+        found = super().limits(name)
+        return Limits(ROW_US, found.high, ROW_US) if name == "ExposureTime" else found
+
+    def write(self, name: str, value: Any) -> None:
+        """As the camera does, an exposure time that is not whole rows becomes the nearest that is."""
+        if name != "ExposureTime":
+            return super().write(name, value)
+        if value < ROW_US:
+            raise CaptureError(f"camera rejected {name}", why=f"requested {value:g}, possible from {ROW_US:g}", remedy=CHANGE)
+        super().write(name, Limits(ROW_US, super().limits(name).high, ROW_US).nearest(value))
 
 
 def serial_of(number: int) -> str:

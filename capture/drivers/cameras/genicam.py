@@ -5,7 +5,7 @@ from typing import Any, Protocol
 
 from koala3d.capture.drivers.cameras import refusals
 from koala3d.capture.drivers.cameras.base import CameraDriver
-from koala3d.capture.drivers.cameras.nodes import Nodes, first, put, put_all
+from koala3d.capture.drivers.cameras.nodes import Limits, Nodes, first, put, put_all
 from koala3d.capture.drivers.cameras.pixels import choose_format
 from koala3d.capture.drivers.cameras.start_state import load_default, set_colour_space, set_plain
 from koala3d.capture.drivers.errors import CaptureError
@@ -16,14 +16,16 @@ AUTOMATICS = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto")
 EXPOSURES = ("ExposureTime", "ExposureTimeAbs")
 GAINS = ("Gain", "GainAbs")
 TRIGGER = {"TriggerSelector": "FrameStart", "TriggerMode": "On", "TriggerSource": "Software"}
+ROUNDED = 0.25
+"""Share by which a camera may round an exposure time in steps that it does not state; the rounded time is recorded."""
 CHANGE = "change the camera settings of the trajectory"
 
 
 class GenicamNodes(Nodes, Protocol):
     """Settings by the names of the standard."""
 
-    def step(self, name: str) -> int:
-        """By how much a whole number must change."""
+    def limits(self, name: str) -> Limits:
+        """What a number may be now."""
         ...
 
 
@@ -36,7 +38,12 @@ class GenicamCamera(CameraDriver):
         """Its settings; it must be open."""
 
     def set_exposure(self, exposure_us: float) -> None:
-        """Change the exposure time of the next pictures [us]. Raises CaptureError: the camera rejects it, or has none."""
+        """Change the exposure time of the next pictures to the nearest that the camera takes [us].
+
+        Sensors with a rolling shutter expose in steps of a row, 35 us on some. The camera's own time is what pictures state.
+
+        Raises CaptureError: the camera rejects it, or has none.
+        """
         self._require_open()
         name = first(self.nodes, EXPOSURES)
         if name is None or "exposure_us" in self.device.leave:
@@ -44,7 +51,8 @@ class GenicamCamera(CameraDriver):
             remedy = "list exposure_us in camera.leave, and take no brackets"
             raise CaptureError("camera takes no exposure time", where=self.name, why=why, remedy=remedy)
         with self._named():
-            put(self.nodes, name, exposure_us, tolerance=refusals.SHARE * exposure_us + 1)
+            limits = self.nodes.limits(name)
+            put(self.nodes, name, limits.nearest(exposure_us), tolerance=max(limits.step / 2, ROUNDED * exposure_us))
 
     @property
     def region(self) -> Region:
@@ -95,7 +103,7 @@ class GenicamCamera(CameraDriver):
             available = self._edge(name)
             put(nodes, name, edge)
             if nodes.has(place):
-                step = nodes.step(place)
+                step = int(nodes.limits(place).step)
                 put(nodes, place, offset if offset is not None else max(available - edge, 0) // 2 // step * step)
             elif offset:
                 why, remedy = f"offset {offset} was requested", "remove the offsets"

@@ -3,7 +3,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from koala3d.capture.drivers.cameras.basler import TRIES, Basler
+from koala3d.capture.drivers.cameras.basler import TRIES, Basler, EmulatedNodes, PylonNodes
+from koala3d.capture.drivers.cameras.nodes import Limits
 from koala3d.capture.drivers.errors import CaptureError, RigConnectionError
 from koala3d.capture.model.device import Device
 from koala3d.capture.model.trajectory import CameraSettings
@@ -26,7 +27,7 @@ def test_a_picture_file_is_delivered_unchanged(picture):
         camera.feed(path)
         first, second = camera.grab(), camera.grab()
     assert np.array_equal(first.pixels, pixels) and np.array_equal(second.pixels, pixels)
-    assert first.exposure_us == pytest.approx(2000, abs=1) and first.gain_db == pytest.approx(3, abs=0.01)
+    assert first.exposure_us == 1995 and first.gain_db == pytest.approx(3, abs=0.01)
     assert second.host_time_ns > first.host_time_ns
 
 
@@ -65,6 +66,28 @@ def test_region_is_that_part_of_the_sensor():
         assert camera.grab().pixels.shape == (48, 64, 3)
 
 
+@pytest.mark.parametrize(("asked", "taken"), [(10_000, 10_010), (1250, 1260), (156.25, 140), (500, 490), (35, 35)])
+def test_exposure_times_are_those_of_the_sensors_rows(asked, taken):
+    """The sensor of the acA1920-25uc exposes in steps of 35 us."""
+    with Basler(SMALL.model_copy(update={"exposure_us": asked}), emulated=True) as camera:
+        assert camera.nodes.limits("ExposureTime").step == 35
+        assert camera.grab().exposure_us == camera.description()["exposure_us"] == taken
+
+
+def test_all_times_of_a_bracket_are_tried_when_the_camera_opens():
+    bracketed = SMALL.model_copy(update={"exposure_us": 10_000, "brackets": 3})
+    with Basler(bracketed, emulated=True) as camera:
+        assert camera.grab().exposure_us == 10_010, "it begins with the longest"
+    with pytest.raises(CaptureError, match=r"rejected ExposureTime .requested 19\.5"):
+        Basler(bracketed.model_copy(update={"brackets": 4}), emulated=True).__enter__()
+
+
+def test_a_camera_that_keeps_its_steps_to_itself_is_believed(monkeypatch):
+    monkeypatch.setattr(EmulatedNodes, "limits", lambda self, name: Limits(*PylonNodes.limits(self, name)[:2]))
+    with Basler(SMALL.model_copy(update={"exposure_us": 156.25, "offset_x": 0, "offset_y": 0}), emulated=True) as camera:
+        assert camera.grab().exposure_us == 140
+
+
 def test_automatics_are_off_whatever_they_were_before():
     from pypylon import pylon
 
@@ -94,7 +117,7 @@ def test_description_holds_the_state_as_read_back():
         described = camera.description()
     assert described["region"] == Region(64, 48, (480 - 64) // 2, (270 - 48) // 2, 4).to_json()
     assert described["sensor"] == {"width": 1920, "height": 1080}
-    assert described["serial"] == "0815-0000" and described["exposure_us"] == pytest.approx(2000, abs=1)
+    assert described["serial"] == "0815-0000" and described["exposure_us"] == 1995
     state = described["state"]
     assert described["pixel_format"] == "RGB8Packed" and state["ExposureAuto"] == "Off"
     assert [value for key, value in state.items() if key.startswith("TriggerMode") and "FrameStart" in key] == ["On"]
