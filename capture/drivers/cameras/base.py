@@ -43,7 +43,8 @@ class CameraDriver(ABC):
         with self._closed_on_failure():
             self._begin()
             if self.settings.brackets > 1:  # what the camera does not take is refused now, not at the first view
-                for exposure_us in reversed(self.settings.exposures_us):
+                first_us = float(self.description()["exposure_us"])
+                for exposure_us in [*self.settings.shorter_us(first_us), first_us]:
                     self.set_exposure(exposure_us)
         return self
 

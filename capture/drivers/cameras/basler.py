@@ -35,17 +35,23 @@ class Basler(GenicamCamera):
 
     Time: `device_ticks` come from the camera: 1 ns each on USB, 8 ns on GigE without PTP. The emulation has none (0).
 
+    Args:
+        emulated: use pylon's emulated camera.
+        sums: the emulated camera adds up binned columns and cannot do otherwise, as an acA1920-25uc.
+
     Raises:
         RigConnectionError: there is no camera, or several and no serial number, or it is busy or unplugged.
         CaptureError: a setting was rejected (requested and actual value), or no complete image arrived in time.
     """
 
-    def __init__(self, settings: CameraSettings, device: Device | None = None, *, emulated: bool = False) -> None:
+    def __init__(
+        self, settings: CameraSettings, device: Device | None = None, *, emulated: bool = False, sums: bool = False
+    ) -> None:
         device = device or Device()
         if emulated:  # it sends the picture file's values as they are; `colours` encodes raw formats
             device = device.model_copy(update={"leave": ["colour_space"]})
         super().__init__(settings, device)
-        self.emulated = emulated
+        self.emulated, self.sums = emulated, sums
         self._pylon: Any = None
 
     def grab(self) -> Image:
@@ -94,6 +100,8 @@ class Basler(GenicamCamera):
             "firmware": self._read("DeviceFirmwareVersion", ""),
             "region": self.region.to_json(),
             "sensor": self._sensor,
+            "binning_modes": self.binning_modes,
+            "binning_gain": self.binning_gain,
             "exposure_us": self._exposure_us,
             "gain_db": self._gain_db,
             "pixel_format": self._camera.PixelFormat.Value,
@@ -108,7 +116,7 @@ class Basler(GenicamCamera):
     @property
     def nodes(self) -> "PylonNodes":
         """Its settings."""
-        return (EmulatedNodes if self.emulated else PylonNodes)(self._camera)
+        return EmulatedNodes(self._camera, sums=self.sums) if self.emulated else PylonNodes(self._camera)
 
     @property
     def serial(self) -> str:
@@ -217,7 +225,15 @@ class PylonNodes:
 
 
 class EmulatedNodes(PylonNodes):
-    """The emulated camera, with exposure times in whole rows."""
+    """The emulated camera, with exposure times in whole rows; with `sums`, binned columns are added up and rows averaged."""
+
+    def __init__(self, camera: Any, *, sums: bool = False) -> None:
+        super().__init__(camera)
+        self._fixed = {"BinningHorizontalMode": "Sum", "BinningVerticalMode": "Average"} if sums else {}
+
+    def read(self, name: str) -> Any:
+        """Its value."""
+        return self._fixed.get(name) or super().read(name)
 
     def limits(self, name: str) -> Limits:
         """What a number may be now."""
@@ -226,6 +242,10 @@ class EmulatedNodes(PylonNodes):
 
     def write(self, name: str, value: Any) -> None:
         """As the camera does, an exposure time that is not whole rows becomes the nearest that is."""
+        if name in self._fixed:
+            raise CaptureError(
+                f"camera rejected {name}", why=f"requested {value}; it is always {self._fixed[name]}", remedy=CHANGE
+            )
         if name != "ExposureTime":
             return super().write(name, value)
         if value < ROW_US:

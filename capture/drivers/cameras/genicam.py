@@ -1,6 +1,8 @@
 """Cameras that follow the GenICam standard: one way to set them up, over whichever library reads their settings."""
 
+import math
 from abc import abstractmethod
+from contextlib import suppress
 from typing import Any, Protocol
 
 from koala3d.capture.drivers.cameras import refusals
@@ -15,6 +17,10 @@ AUTOMATICS = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto")
 """Automatic functions, set to Off where they exist: nothing may change from picture to picture."""
 EXPOSURES = ("ExposureTime", "ExposureTimeAbs")
 GAINS = ("Gain", "GainAbs")
+AVERAGE, SUM = "Average", "Sum"
+BINNING = {"horizontal": "BinningHorizontal", "vertical": "BinningVertical"}
+UNSAID = {"acA1920-25uc": {"horizontal": "Sum", "vertical": "Average"}}
+"""What binning does in cameras that have no setting for it, by model (Basler, AW001234)."""
 TRIGGER = {"TriggerSelector": "FrameStart", "TriggerMode": "On", "TriggerSource": "Software"}
 ROUNDED = 0.25
 """Share by which a camera may round an exposure time in steps that it does not state; the rounded time is recorded."""
@@ -60,6 +66,17 @@ class GenicamCamera(CameraDriver):
         read = self._read
         return Region(read("Width"), read("Height"), read("OffsetX", 0), read("OffsetY", 0), read("BinningHorizontal", 1))
 
+    @property
+    def binning_modes(self) -> dict[str, str]:
+        """What becomes of binned pixels, `horizontal` and `vertical`: Average, Sum, or empty if the camera does not say it."""
+        unsaid = UNSAID.get(str(self._read("DeviceModelName", "")), {})
+        return {axis: str(self._read(f"{name}Mode", unsaid.get(axis, ""))) for axis, name in BINNING.items()}
+
+    @property
+    def binning_gain(self) -> int:
+        """How many times as bright as an unbinned pixel a binned one is, at the same exposure time."""
+        return math.prod(int(self._read(name, 1)) for axis, name in BINNING.items() if self.binning_modes[axis] == SUM)
+
     def _configure(self) -> None:
         """Bring the camera to its known state, then to the settings of the trajectory and of the rig file."""
         wanted, nodes, leave, where = self.settings, self.nodes, self.device.leave, self.name
@@ -76,7 +93,7 @@ class GenicamCamera(CameraDriver):
             set_colour_space(nodes, encoded=wanted.pixel_format == "rgb8")
         self._set_region()
         if "exposure_us" not in leave:
-            self.set_exposure(wanted.exposure_us)
+            self.set_exposure(wanted.exposure_us / self.binning_gain)
         if "gain_db" not in leave:
             if (gain := first(nodes, GAINS)) is None:
                 refusals.require_left(self.device, "gain_db", "it has no Gain", where)
@@ -93,8 +110,11 @@ class GenicamCamera(CameraDriver):
         """Binning, then size and place of the region, centred unless the trajectory says where it is."""
         wanted, nodes = self.settings, self.nodes
         if wanted.binning > 1 or nodes.has("BinningHorizontal"):
-            for name in ("BinningHorizontal", "BinningVertical"):
+            for name in BINNING.values():
                 put(nodes, name, wanted.binning)
+                if nodes.has(mode := f"{name}Mode") and AVERAGE in nodes.symbolics(mode):
+                    with suppress(CaptureError):  # some list it and do not take it; what they have is recorded
+                        nodes.write(mode, AVERAGE)
         for name in ("OffsetX", "OffsetY"):
             if nodes.has(name):
                 put(nodes, name, 0)

@@ -76,6 +76,8 @@ class GenTlCamera(GenicamCamera):
             "producer": self._info["producer"],
             "region": self.region.to_json(),
             "sensor": self._sensor,
+            "binning_modes": self.binning_modes,
+            "binning_gain": self.binning_gain,
             "exposure_us": self._exposure_us,
             "gain_db": self._gain_db,
             "pixel_format": self.nodes.read("PixelFormat"),

@@ -1,3 +1,4 @@
+from fnmatch import fnmatch
 from pathlib import Path
 
 import numpy as np
@@ -86,6 +87,33 @@ def test_a_camera_that_keeps_its_steps_to_itself_is_believed(monkeypatch):
     monkeypatch.setattr(EmulatedNodes, "limits", lambda self, name: Limits(*PylonNodes.limits(self, name)[:2]))
     with Basler(SMALL.model_copy(update={"exposure_us": 156.25, "offset_x": 0, "offset_y": 0}), emulated=True) as camera:
         assert camera.grab().exposure_us == 140
+
+
+def test_binned_pixels_are_averaged_by_a_camera_that_can():
+    with Basler(SMALL, emulated=True) as camera:
+        described = camera.description()
+        modes = [camera.nodes.read(f"Binning{axis}Mode") for axis in ("Horizontal", "Vertical")]
+    assert modes == ["Average", "Average"], "pylon's own default is the sum"
+    assert described["binning_modes"] == {"horizontal": "Average", "vertical": "Average"} and described["binning_gain"] == 1
+
+
+@pytest.mark.parametrize(("binning", "gain", "exposure_us"), [(1, 1, 1995), (4, 4, 490)])
+def test_a_camera_that_adds_columns_up_exposes_for_less(binning, gain, exposure_us):
+    with Basler(SMALL.model_copy(update={"binning": binning}), emulated=True, sums=True) as camera:
+        described, image = camera.description(), camera.grab()
+    assert described["binning_modes"] == {"horizontal": "Sum", "vertical": "Average"} and described["binning_gain"] == gain
+    assert image.exposure_us == described["exposure_us"] == exposure_us
+
+
+def test_a_camera_that_does_not_say_what_binning_does_is_known_by_its_model(monkeypatch):
+    has, read = EmulatedNodes.has, EmulatedNodes.read
+    monkeypatch.setattr(EmulatedNodes, "has", lambda self, name: has(self, name) and not fnmatch(name, "Binning*Mode"))
+    with Basler(SMALL, emulated=True) as camera:
+        assert camera.description()["binning_modes"] == {"horizontal": "", "vertical": ""} and camera.binning_gain == 1
+    model = "acA1920-25uc"
+    monkeypatch.setattr(EmulatedNodes, "read", lambda self, name: model if name == "DeviceModelName" else read(self, name))
+    with Basler(SMALL, emulated=True) as camera:
+        assert camera.binning_gain == 4 and camera.grab().exposure_us == 490
 
 
 def test_automatics_are_off_whatever_they_were_before():
