@@ -2,21 +2,32 @@
 
 import math
 from abc import abstractmethod
+from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any, Protocol
 
+import numpy as np
+
 from koala3d.capture.drivers.cameras import refusals
-from koala3d.capture.drivers.cameras.base import CameraDriver
+from koala3d.capture.drivers.cameras.base import CameraDriver, first_line
 from koala3d.capture.drivers.cameras.nodes import Limits, Nodes, first, put, put_all
-from koala3d.capture.drivers.cameras.pixels import choose_format
+from koala3d.capture.drivers.cameras.pixels import choose_format, colours
 from koala3d.capture.drivers.cameras.start_state import load_default, set_colour_space, set_plain
-from koala3d.capture.drivers.errors import CaptureError
+from koala3d.capture.drivers.errors import CaptureError, RigConnectionError
+from koala3d.capture.drivers.measurements import Image, Pixels
+from koala3d.capture.model.device import Device
+from koala3d.capture.model.trajectory import CameraSettings
 from koala3d.datasets.imaging.region import Region
 
 AUTOMATICS = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto")
 """Automatic functions, set to Off where they exist: nothing may change from picture to picture."""
 EXPOSURES = ("ExposureTime", "ExposureTimeAbs")
 GAINS = ("Gain", "GainAbs")
+CHUNKS = ("ExposureTime", "Gain", "Timestamp")
+"""What a camera says of each picture, if it can, by its names in `ChunkSelector`; the value is in Chunk and the name."""
+TRANSFER_S = 3.0  # longest time for an image after its exposure [s]
+TRIES = 4  # attempts to get an undamaged image before the grab fails
 AVERAGE, SUM = "Average", "Sum"
 BINNING = {"horizontal": "BinningHorizontal", "vertical": "BinningVertical"}
 UNSAID = {"acA1920-25uc": {"horizontal": "Sum", "vertical": "Average"}}
@@ -35,8 +46,117 @@ class GenicamNodes(Nodes, Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class Delivery:
+    """An undamaged picture of a stream."""
+
+    data: Pixels
+    pixel_format: str
+    number: int | None
+    """Counts the pictures of the stream; None if the library does not say it."""
+    ticks: int
+    host_time_ns: int
+    """When the exposure was triggered, on the monotonic clock of the host [ns]."""
+    chunks: Mapping[str, float]
+    """What the camera sent with the picture, by the names of `CHUNKS`."""
+
+
 class GenicamCamera(CameraDriver):
-    """A camera with constant exposure and gain, triggered by software. What it lacks must be in `device.leave`."""
+    """A camera with constant exposure and gain, triggered by software. What it lacks must be in `device.leave`.
+
+    A picture belongs to its trigger. What came before is thrown away, the stream is started again after a picture that did not
+    come in time, and a picture that does not carry the next number, or the exposure time that was set, is taken again.
+    """
+
+    def __init__(self, settings: CameraSettings, device: Device) -> None:
+        super().__init__(settings, device)
+        self._is_late = False  # the stream may still deliver the picture of an earlier trigger
+        self._number: int | None = None  # of the newest picture of the stream
+        self._chunks: list[str] = []  # what the camera sends with its pictures
+
+    def grab(self) -> Image:
+        """Trigger one exposure and wait for it; takes it again up to `TRIES` times."""
+        self._require_open()
+        why = ""
+        for _ in range(TRIES):
+            try:
+                if self._is_late:
+                    self._stop()
+                    self._start()
+                delivered = self._expose()
+            except Exception as error:
+                if not self._is_vendors(error):
+                    raise
+                self._is_late = True
+                raise self._missing(error) from None
+            why = delivered if isinstance(delivered, str) else self._foreign(delivered)
+            if not why and isinstance(delivered, Delivery):
+                return self._image(delivered)
+        remedy = "check cable and bandwidth, then resume with --resume"
+        raise CaptureError(f"camera gave {TRIES} damaged images in a row", where=self.name, why=why, remedy=remedy)
+
+    @abstractmethod
+    def _expose(self) -> Delivery | str:
+        """Throw away what the stream holds, trigger one exposure, and wait `_patience_s` for it; a word on a damaged picture."""
+
+    @abstractmethod
+    def _stop(self) -> None:
+        """Stop the stream and drop what it holds."""
+
+    def _start(self) -> None:
+        """Start a stream, whose pictures are counted anew."""
+        self._is_late, self._number = False, None
+
+    @property
+    def _is_unplugged(self) -> bool:
+        """Whether the library knows that the camera is gone."""
+        return False
+
+    @property
+    def _patience_s(self) -> float:
+        return TRANSFER_S + 1e-6 * self._exposure_us
+
+    def _missing(self, error: Exception) -> CaptureError:
+        """What a picture that did not come means."""
+        if self._is_unplugged:
+            remedy = "plug it in and resume with --resume"
+            return RigConnectionError("camera was unplugged", where=self.name, remedy=remedy)
+        late = type(error).__name__ == "TimeoutException"
+        why = f"nothing within {self._patience_s:.1f} s" if late else first_line(error)
+        remedy = "check its cable and resume with --resume"
+        return RigConnectionError("camera gave no image", where=self.name, why=why, remedy=remedy)
+
+    def _foreign(self, delivered: Delivery) -> str:
+        """Why a picture is not that of the newest trigger; empty: it is."""
+        before, number = self._number, delivered.number
+        self._number = None if "trigger" in self.device.leave else number  # without a trigger many are thrown away
+        if before is not None and number is not None and number != before + 1:
+            return f"picture {number} came after {before}"
+        exposed, wanted = delivered.chunks.get("ExposureTime"), self._exposure_us
+        if exposed is not None and abs(exposed - wanted) > ROUNDED * wanted:
+            return f"it was exposed for {exposed:g} us, not {wanted:g} us"
+        return ""
+
+    def _image(self, delivered: Delivery) -> Image:
+        data, name, said = delivered.data, delivered.pixel_format, delivered.chunks
+        raw = data.astype(np.uint16) if name.endswith("12") else None
+        exposure_us, gain_db = said.get("ExposureTime", self._exposure_us), said.get("Gain", self._gain_db)
+        ticks = int(said.get("Timestamp", delivered.ticks))
+        return Image(colours(data, name), exposure_us, gain_db, ticks, delivered.host_time_ns, raw)
+
+    def _switch_chunks_on(self) -> None:
+        """Have the camera send with each picture what it says of it, where it can."""
+        nodes = self.nodes
+        if not nodes.has("ChunkModeActive"):
+            return
+        nodes.write("ChunkModeActive", True)  # only then does it show its selector
+        offered = nodes.symbolics("ChunkSelector") if nodes.has("ChunkSelector") else ()
+        self._chunks = [name for name in CHUNKS if name in offered]
+        for name in self._chunks:
+            put(nodes, "ChunkSelector", name)
+            put(nodes, "ChunkEnable", True)
+        if not self._chunks:
+            nodes.write("ChunkModeActive", False)
 
     @property
     @abstractmethod
@@ -104,6 +224,7 @@ class GenicamCamera(CameraDriver):
                 refusals.require_left(self.device, "trigger", "it has no TriggerMode", where)
             for name, value in TRIGGER.items():
                 put(nodes, name, value)
+        self._switch_chunks_on()
         put_all(nodes, self.device.settings, where)
 
     def _set_region(self) -> None:

@@ -1,10 +1,13 @@
+import time
 from fnmatch import fnmatch
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from koala3d.capture.drivers.cameras.basler import TRIES, Basler, EmulatedNodes, PylonNodes
+from koala3d.capture.drivers.cameras import genicam
+from koala3d.capture.drivers.cameras.basler import Basler, EmulatedNodes, PylonNodes
+from koala3d.capture.drivers.cameras.genicam import TRIES
 from koala3d.capture.drivers.cameras.nodes import Limits
 from koala3d.capture.drivers.errors import CaptureError, RigConnectionError
 from koala3d.capture.model.device import Device
@@ -138,6 +141,60 @@ def test_damaged_images_are_retried(picture):
         with pytest.raises(CaptureError, match=r"damaged images in a row .*incomplete"):
             camera.grab()
         assert np.array_equal(camera.grab().pixels, pixels)  # and it works afterwards
+
+
+@pytest.fixture
+def numbered(tmp_path):
+    """Pictures that the emulation shows one after another, and from the first one again when a stream starts: 10, 20, ..."""
+    for number in range(1, 9):
+        images.write(tmp_path / f"{number}.png", np.full((48, 64, 3), 10 * number, np.uint8))
+    return str(tmp_path)
+
+
+def test_a_picture_that_comes_late_is_not_taken_for_the_next_one(numbered, monkeypatch):
+    with Basler(SMALL, emulated=True) as camera:
+        camera.feed(numbered)
+        assert [camera.grab().pixels[0, 0, 0] for _ in range(3)] == [10, 20, 30]
+        with monkeypatch.context() as patched, pytest.raises(RigConnectionError, match=r"gave no image .nothing within"):
+            patched.setattr(genicam, "TRANSFER_S", -1e-3)  # it takes about 10 ms
+            camera.grab()
+        time.sleep(0.1)
+        assert [camera.grab().pixels[0, 0, 0] for _ in range(2)] == [10, 20], "not 40, which was triggered before"
+
+
+def test_a_picture_that_nobody_asked_for_is_thrown_away(numbered):
+    with Basler(SMALL, emulated=True) as camera:
+        camera.feed(numbered)
+        first = camera.grab()
+        camera._camera.ExecuteSoftwareTrigger()
+        time.sleep(0.1)
+        second = camera.grab()
+    assert (first.pixels[0, 0, 0], second.pixels[0, 0, 0]) == (10, 30)
+
+
+def test_a_gap_in_the_numbers_of_the_pictures_is_noticed(numbered):
+    """A picture was lost, so that nobody knows to which trigger this one belongs: it is taken again."""
+    with Basler(SMALL, emulated=True) as camera:
+        camera.feed(numbered)
+        camera.grab()
+        camera._number += 1
+        assert camera.grab().pixels[0, 0, 0] == 30
+
+
+def test_what_a_camera_says_of_a_picture_counts(numbered, monkeypatch):
+    """The emulation sends no chunks; `_chunks_of` stands for a camera that exposes once with the time before."""
+    said = [{"ExposureTime": 10_010.0}, {"ExposureTime": 1960.0, "Gain": 3.1, "Timestamp": 77.0}]
+    monkeypatch.setattr(Basler, "_chunks_of", lambda self, result: said.pop(0))
+    with Basler(SMALL, emulated=True) as camera:
+        camera.feed(numbered)
+        image = camera.grab()
+    assert (image.exposure_us, image.gain_db, image.device_ticks) == (1960.0, 3.1, 77)
+    assert image.pixels[0, 0, 0] == 20 and not said
+
+
+def test_commands_that_can_only_be_written_are_there():
+    with Basler(SMALL, emulated=True) as camera:
+        assert camera.nodes.has("TriggerSoftware") and not camera.nodes.has("TimestampLatch")
 
 
 def test_description_holds_the_state_as_read_back():
