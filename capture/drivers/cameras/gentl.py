@@ -22,6 +22,7 @@ from koala3d.capture.model.device import Device
 from koala3d.capture.model.trajectory import CameraSettings
 
 BUFFERS = 3
+SOON_S = 1e-3  # how long an old picture is waited for; harvesters takes 0 for forever
 PATHS = "GENICAM_GENTL64_PATH"  # where producers are installed, by the standard's own variable
 
 
@@ -118,7 +119,7 @@ class GenTlCamera(GenicamCamera):
 
     def _drain(self) -> None:
         """Throw away the pictures that are there."""
-        while (old := self._camera.try_fetch(timeout=0.0)) is not None:
+        while (old := self._camera.try_fetch(timeout=SOON_S)) is not None:
             self._number = _number(old)
             old.queue()
 
