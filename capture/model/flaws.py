@@ -24,6 +24,9 @@ class Flaws(Schema):
     vignetting: float = Field(default=0.0, ge=0, lt=1, description="share of the light that is lost in the sensor's corners")
     unevenness: float = Field(default=0.0, ge=0, lt=0.2, description="standard deviation of the response of pixels, relative")
     hot_share: float = Field(default=0.0, ge=0, lt=0.1, description="share of pixels that glow without light")
+    sums_columns: bool = Field(
+        default=False, description="binned columns are added up and rows averaged, as an acA1920-25uc does; false: both averaged"
+    )
     channels: tuple[float, float, float] = Field(
         default=(1.0, 1.0, 1.0), description="response to red, green and blue light; a grey card is grey where they are equal"
     )

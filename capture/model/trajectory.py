@@ -47,7 +47,9 @@ class Split(Schema):
 class CameraSettings(Schema):
     """Camera settings, constant over the recording."""
 
-    exposure_us: float = Field(default=10_000.0, gt=0, description="exposure time [us]")
+    exposure_us: float = Field(
+        default=10_000.0, gt=0, description="exposure time [us]; divided by the binning where a camera adds up binned pixels"
+    )
     gain_db: float = Field(default=0.0, ge=0, description="gain [dB]")
     pixel_format: Literal["rgb8", "bayer8", "bayer12", "mono8", "mono12"] = Field(
         default="rgb8",
@@ -69,10 +71,9 @@ class CameraSettings(Schema):
         """Whether the values of the sensor are kept beside the developed picture."""
         return self.pixel_format.endswith("12")
 
-    @property
-    def exposures_us(self) -> list[float]:
-        """Exposure times of a view, longest first [us]."""
-        return [self.exposure_us / self.bracket_factor**step for step in range(self.brackets)]
+    def shorter_us(self, first_us: float) -> list[float]:
+        """Exposure times of a view after its first one, longest first [us]; empty without brackets."""
+        return [first_us / self.bracket_factor**step for step in range(1, self.brackets)]
 
 
 class Motion(Schema):

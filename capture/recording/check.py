@@ -108,7 +108,8 @@ def _times(frames: list[Frame]) -> list[Finding]:
 
 
 def _settings(recording: Recording, trajectory: Trajectory) -> list[Finding]:
-    wanted = trajectory.camera.exposure_us
+    stated = recording.part("camera").get("exposure_us")  # in the camera's own steps
+    wanted = stated if isinstance(stated, int | float) else trajectory.camera.exposure_us
     return [
         Finding("has another exposure time", frame.name, f"{frame.exposure_us:g} us, requested {wanted:g} us")
         for frame in recording.frames

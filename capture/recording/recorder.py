@@ -128,7 +128,7 @@ def _expose(
             image = one.camera.grab()
             if motion.settle_difference is not None and not pictures:  # the first camera waits until everything is at rest
                 image, state = _still(one, image, motion, name)
-            pictures.append([image, *_shorter(one, trajectory.camera)])
+            pictures.append([image, *_shorter(one, trajectory.camera, image.exposure_us)])
     after, angle_after = rig.robot.state(newer_than_ns=time.monotonic_ns()), None if table is None else table.angle()
     for recording, one in zip(recordings, rig.each.values(), strict=True):
         if one.ground_truth is not None:
@@ -161,14 +161,14 @@ def _expose(
     ]
 
 
-def _shorter(rig: Rig, camera: CameraSettings) -> list[Image]:
+def _shorter(rig: Rig, camera: CameraSettings, first_us: float) -> list[Image]:
     """The shorter exposures of a bracket, longest first; none without one."""
     taken = []
-    for exposure_us in camera.exposures_us[1:]:
+    for exposure_us in camera.shorter_us(first_us):
         rig.camera.set_exposure(exposure_us)
         taken.append(rig.camera.grab())
     if taken:
-        rig.camera.set_exposure(camera.exposure_us)
+        rig.camera.set_exposure(first_us)
     return taken
 
 

@@ -110,14 +110,18 @@ class SimulatedCamera:
         self._arm, self._frame, self._table = arm, 0, table
         self._world_from_camera: NDArray[np.float64] | None = None
         self._base_from_object: NDArray[np.float64] = np.eye(4)
-        self._driver = emulated(trajectory.camera, device or Device(), truth.sensor_camera, number)
-        self._exposure_us, self.flaws = trajectory.camera.exposure_us, flaws
+        device = device or Device()
+        self._driver = emulated(trajectory.camera, device, truth.sensor_camera, number, sums=flaws.sums_columns)
+        self._exposure_us = self._first_us = trajectory.camera.exposure_us  # as read back, while it is open
+        self._binning_gain, self.flaws = 1, flaws
         self._maps: SensorMaps | None = None
         self._seen: tuple[tuple[int, bytes], NDArray[np.float32]] | None = None
         self._lens: Lens | None = None
 
     def __enter__(self) -> Self:
         self._driver.__enter__()
+        self._exposure_us = self._first_us = self._driver.exposure_us
+        self._binning_gain = self._driver.binning_gain
         self._lens = Lens(self._driver.camera(self.truth.sensor_camera))
         if self.flaws != PERFECT:
             sensor = self.truth.sensor_camera
@@ -150,6 +154,7 @@ class SimulatedCamera:
             rng=np.random.default_rng([self.seed, self._frame, 3, *self._again]),
             raw_bits=RAW_BITS[settings.pixel_format],
             maps=self._maps,
+            binning_gain=self._binning_gain,
         )
         image = self._driver.expose(pixels, self._depth(), np.random.default_rng([self.seed, self._frame, 5]))
         if settings.pixel_format == "rgb8" and not np.array_equal(image.pixels, pixels):
@@ -174,7 +179,7 @@ class SimulatedCamera:
     def set_exposure(self, exposure_us: float) -> None:
         """See `capture.drivers.protocols.Camera`."""
         self._driver.set_exposure(exposure_us)
-        self._exposure_us = exposure_us
+        self._exposure_us = self._driver.exposure_us
 
     @property
     def sensor(self) -> Sensor:
@@ -189,7 +194,7 @@ class SimulatedCamera:
     @property
     def _again(self) -> list[int]:
         """What else the noise depends on: nothing in the first exposure of the trajectory's length, see `set_exposure`."""
-        return [] if self._exposure_us == self.trajectory.camera.exposure_us else [round(self._exposure_us)]
+        return [] if self._exposure_us == self._first_us else [round(self._exposure_us)]
 
     def description(self) -> dict[str, Any]:
         """See `capture.drivers.protocols.Camera`."""
@@ -203,7 +208,7 @@ class SimulatedCamera:
         `specular` (linear light that sums to the picture; 1 is its white).
         """
         if split == "test":
-            white = Sensor().white(self.trajectory.camera.exposure_us, self.trajectory.camera.gain_db)
+            white = Sensor().white(self._first_us, self.trajectory.camera.gain_db, self._binning_gain)
             for channel, values in self.view.truth(self.lens, self.world_from_camera, self._seed).items():
                 if channel in LIGHT:
                     values = (values @ GREY if self.is_grey else values) / white

@@ -64,16 +64,26 @@ class Emulated(ABC):
         """See `capture.drivers.protocols.Camera`."""
         self._driver.set_exposure(exposure_us)
 
+    @property
+    def exposure_us(self) -> float:
+        """The exposure time that the driver reads back [us]."""
+        return float(self._driver.description()["exposure_us"])
+
+    @property
+    def binning_gain(self) -> int:
+        """How many times as bright as an unbinned pixel a binned one is, at the same exposure time."""
+        return int(self._driver.description().get("binning_gain", 1))
+
     def description(self) -> dict[str, Any]:
         """See `capture.drivers.protocols.Camera`."""
         return self._driver.description()
 
 
 class EmulatedBasler(Emulated):
-    """The emulated camera of pylon with a number, from 0: each can be opened once."""
+    """The emulated camera of pylon with a number, from 0: each can be opened once. `sums`: see `Basler`."""
 
-    def __init__(self, settings: CameraSettings, number: int = 0) -> None:
-        self._basler, self._count = Basler(settings, Device(serial=serial_of(number)), emulated=True), 0
+    def __init__(self, settings: CameraSettings, number: int = 0, *, sums: bool = False) -> None:
+        self._basler, self._count = Basler(settings, Device(serial=serial_of(number)), emulated=True, sums=sums), 0
         super().__init__(self._basler)
         self._folder: TemporaryDirectory[str] | None = None  # while it is open
 
@@ -181,8 +191,8 @@ def stereo_depth(depth: NDArray[np.float32], focal_px: float, rng: np.random.Gen
     return np.where(steps < 2**16, np.rint(steps), 0).astype(np.uint16)
 
 
-def emulated(settings: CameraSettings, device: Device, sensor_camera: Camera, number: int = 0) -> Emulated:
-    """The emulation for the camera of a rig with a number, from 0."""
+def emulated(settings: CameraSettings, device: Device, sensor_camera: Camera, number: int = 0, *, sums: bool = False) -> Emulated:
+    """The emulation for the camera of a rig with a number, from 0; `sums`: see `Basler`."""
     if device.model == "realsense":
         return EmulatedRealSense(settings, device, sensor_camera)
-    return EmulatedBasler(settings, number)
+    return EmulatedBasler(settings, number, sums=sums)

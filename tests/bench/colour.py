@@ -53,15 +53,18 @@ def errors(trajectory: Trajectory, rig: str, frames: int) -> list[CardError]:
         response = measured(camera.description(), dark, statistics(camera, frames, nothing))
         response.save(Path(folder) / RADIOMETRY)
         recording = Recording.create(Path(folder) / "recording", {"camera": camera.description()})
+        taken_us = []  # in the camera's own steps
         with Writer([recording], lambda name: None) as writer:
             for number, share in enumerate(EXPOSURES):
                 camera.prepare(1000 + number)
                 camera.set_exposure(trajectory.camera.exposure_us * share)
-                writer.put([(_frame(number, camera), [camera.grab()])])
+                image = camera.grab()
+                taken_us.append(image.exposure_us)
+                writer.put([(_frame(number, camera), [image])])
         response = Response.load(Path(folder) / RADIOMETRY)
         response.require(camera.description(), where=rig)
-        for frame, share in zip(recording.frames, EXPOSURES, strict=True):
-            white = camera.sensor.white(trajectory.camera.exposure_us * share, trajectory.camera.gain_db)
+        for frame, exposure_us in zip(recording.frames, taken_us, strict=True):
+            white = camera.sensor.white(exposure_us, trajectory.camera.gain_db)
             plain = images.linear_from_stored(images.read_stored(recording.image_path(frame)))
             found.append(_error(develop(recording, frame, response).light, plain, CARDS["grey_card"] / white))
     return found

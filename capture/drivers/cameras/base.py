@@ -42,6 +42,10 @@ class CameraDriver(ABC):
     def __enter__(self) -> Self:
         with self._closed_on_failure():
             self._begin()
+            if self.settings.brackets > 1:  # what the camera does not take is refused now, not at the first view
+                first_us = float(self.description()["exposure_us"])
+                for exposure_us in [*self.settings.shorter_us(first_us), first_us]:
+                    self.set_exposure(exposure_us)
         return self
 
     def __exit__(self, *exception: object) -> None:

@@ -9,22 +9,21 @@ from collections.abc import Collection
 from typing import Any
 
 from koala3d.capture.drivers.cameras.base import first_line, only_one
-from koala3d.capture.drivers.cameras.genicam import CHANGE, GenicamCamera
+from koala3d.capture.drivers.cameras.genicam import CHANGE, Delivery, GenicamCamera
 from koala3d.capture.drivers.cameras.genicam_lock import release_abandoned
-from koala3d.capture.drivers.cameras.pixels import colours
-from koala3d.capture.drivers.errors import CaptureError, RigConnectionError
-from koala3d.capture.drivers.measurements import Image
+from koala3d.capture.drivers.cameras.nodes import Limits
+from koala3d.capture.drivers.errors import CaptureError
 from koala3d.capture.model.device import Device
 from koala3d.capture.model.trajectory import CameraSettings
 
-TRIES = 4  # attempts to get an undamaged image before the grab fails
 READY_MS = 2000  # longest time until the camera accepts a trigger [ms]
-TRANSFER_MS = 3000  # longest time for an image after its exposure [ms]
 BUFFERS = 2
 """Image buffers: only one exposure is in flight. With the default of ten, the first use of each would cost milliseconds."""
 EMULATED = "8"
 """How many cameras pylon emulates; their serial numbers are 0815-0000 and so on."""
 EMULATED_SENSOR = {"Width": 1920, "Height": 1080}  # sensor of the simulated rig [px]: that of an acA1920-25uc
+ROW_US = 35.0
+"""Time of a row of the sensor of an acA1920-25uc, in which it exposes [us]."""
 
 
 class Basler(GenicamCamera):
@@ -32,45 +31,33 @@ class Basler(GenicamCamera):
 
     Time: `device_ticks` come from the camera: 1 ns each on USB, 8 ns on GigE without PTP. The emulation has none (0).
 
+    Args:
+        emulated: use pylon's emulated camera.
+        sums: the emulated camera adds up binned columns and cannot do otherwise, as an acA1920-25uc.
+
     Raises:
         RigConnectionError: there is no camera, or several and no serial number, or it is busy or unplugged.
         CaptureError: a setting was rejected (requested and actual value), or no complete image arrived in time.
     """
 
-    def __init__(self, settings: CameraSettings, device: Device | None = None, *, emulated: bool = False) -> None:
+    def __init__(
+        self, settings: CameraSettings, device: Device | None = None, *, emulated: bool = False, sums: bool = False
+    ) -> None:
         device = device or Device()
         if emulated:  # it sends the picture file's values as they are; `colours` encodes raw formats
             device = device.model_copy(update={"leave": ["colour_space"]})
         super().__init__(settings, device)
-        self.emulated = emulated
+        self.emulated, self.sums = emulated, sums
         self._pylon: Any = None
-
-    def grab(self) -> Image:
-        """Trigger one exposure and wait for it; retries damaged images up to `TRIES` times."""
-        self._require_open()
-        reasons = []
-        try:
-            for _ in range(TRIES):
-                image, reason = self._try()
-                if image is not None:
-                    return image
-                reasons.append(reason)
-        except self._pylon.GenericException as error:
-            if self._camera.IsCameraDeviceRemoved():
-                remedy = "plug it in and resume with --resume"
-                raise RigConnectionError("camera was unplugged", where=self.name, remedy=remedy) from None
-            raise self._fault("camera gave no image", first_line(error), "check its cable and resume with --resume") from None
-        remedy = "check cable and bandwidth, then resume with --resume"
-        raise self._fault(f"camera gave {TRIES} damaged images in a row", reasons[-1], remedy)
 
     def feed(self, picture: str) -> None:
         """Emulation only: show a picture file in the next exposures."""
         self._require_open()
-        self._camera.StopGrabbing()
+        self._stop()
         self._camera.TestImageSelector.Value = "Off"
         self._camera.ImageFileMode.Value = "On"
         self._camera.ImageFilename.Value = picture
-        self._camera.StartGrabbing(self._pylon.GrabStrategy_OneByOne)
+        self._start()
 
     def break_next(self, count: int) -> None:
         """Emulation only: make the next `count` images incomplete."""
@@ -91,6 +78,8 @@ class Basler(GenicamCamera):
             "firmware": self._read("DeviceFirmwareVersion", ""),
             "region": self.region.to_json(),
             "sensor": self._sensor,
+            "binning_modes": self.binning_modes,
+            "binning_gain": self.binning_gain,
             "exposure_us": self._exposure_us,
             "gain_db": self._gain_db,
             "pixel_format": self._camera.PixelFormat.Value,
@@ -105,7 +94,7 @@ class Basler(GenicamCamera):
     @property
     def nodes(self) -> "PylonNodes":
         """Its settings."""
-        return PylonNodes(self._camera)
+        return EmulatedNodes(self._camera, sums=self.sums) if self.emulated else PylonNodes(self._camera)
 
     @property
     def serial(self) -> str:
@@ -133,7 +122,7 @@ class Basler(GenicamCamera):
         self._connect()
         self._configure()
         self._camera.MaxNumBuffer.Value = BUFFERS
-        self._camera.StartGrabbing(self._pylon.GrabStrategy_OneByOne)
+        self._start()
 
     @staticmethod
     def _is_vendors(error: BaseException) -> bool:
@@ -145,24 +134,44 @@ class Basler(GenicamCamera):
         """The emulation has no sensor size of its own; it gets that of the simulated rig."""
         return EMULATED_SENSOR[name] // self.settings.binning if self.emulated else super()._edge(name)
 
-    def _try(self) -> tuple[Image | None, str]:
+    def _expose(self) -> Delivery | str:
         camera, raise_late = self._camera, self._pylon.TimeoutHandling_ThrowException
+        while (old := camera.RetrieveResult(0, self._pylon.TimeoutHandling_Return)).IsValid():
+            self._number = int(old.BlockID)
+            old.Release()
         camera.WaitForFrameTriggerReady(READY_MS, raise_late)
         host_time_ns = time.monotonic_ns()
         camera.ExecuteSoftwareTrigger()
-        result = camera.RetrieveResult(TRANSFER_MS + int(self._exposure_us / 1000), raise_late)
+        result = camera.RetrieveResult(int(1000 * self._patience_s), raise_late)
         try:
             if not result.GrabSucceeded():
-                return None, result.GetErrorDescription() or f"error {result.GetErrorCode()}"
+                self._number = None
+                return result.GetErrorDescription() or f"error {result.GetErrorCode()}"
             data, name = result.Array, camera.PixelFormat.Value
-            raw = data.copy() if name.endswith("12") else None
-            taken = (self._exposure_us, self._gain_db, int(result.TimeStamp), host_time_ns)
-            return Image(colours(data, name), *taken, raw), ""
+            number, ticks = int(result.BlockID), int(result.TimeStamp)
+            return Delivery(data.copy(), name, number, ticks, host_time_ns, self._chunks_of(result))
         finally:
             result.Release()
 
-    def _fault(self, what: str, why: str, remedy: str = "") -> CaptureError:
-        return CaptureError(what, where=self.name, why=why, remedy=remedy)
+    def _chunks_of(self, result: Any) -> dict[str, float]:
+        """What the camera sent with a picture, as far as it can be read."""
+        from pypylon import genicam
+
+        if not (self._chunks and result.IsChunkDataAvailable()):
+            return {}
+        nodes = {name: result.GetChunkDataNodeMap().GetNode(f"Chunk{name}") for name in self._chunks}
+        return {name: float(node.Value) for name, node in nodes.items() if node is not None and genicam.IsReadable(node)}
+
+    def _start(self) -> None:
+        super()._start()
+        self._camera.StartGrabbing(self._pylon.GrabStrategy_OneByOne)
+
+    def _stop(self) -> None:
+        self._camera.StopGrabbing()
+
+    @property
+    def _is_unplugged(self) -> bool:
+        return bool(self._camera.IsCameraDeviceRemoved())
 
     def _close(self) -> None:
         camera, self._camera = self._camera, None
@@ -191,9 +200,11 @@ class PylonNodes:
         """Names of an enumeration's values."""
         return tuple(getattr(getattr(self._camera, name), "Symbolics", ()))
 
-    def step(self, name: str) -> int:
-        """By how much a whole number must change."""
-        return int(getattr(self._camera, name).Inc)
+    def limits(self, name: str) -> Limits:
+        """What a number may be now."""
+        node = getattr(self._camera, name)
+        stepped = getattr(node, "HasInc", lambda: True)()  # a whole number always has one
+        return Limits(node.Min, node.Max, node.Inc if stepped else 0.0)
 
     def write(self, name: str, value: Any) -> None:
         """A command takes None."""
@@ -209,6 +220,35 @@ class PylonNodes:
             limits = f", possible: {node.Min} to {node.Max}" if hasattr(node, "Min") else ""
             why = f"requested {value}: {first_line(error)}{limits}"
             raise CaptureError(f"camera rejected {name}", why=why, remedy=CHANGE) from None
+
+
+class EmulatedNodes(PylonNodes):
+    """The emulated camera, with exposure times in whole rows; with `sums`, binned columns are added up and rows averaged."""
+
+    def __init__(self, camera: Any, *, sums: bool = False) -> None:
+        super().__init__(camera)
+        self._fixed = {"BinningHorizontalMode": "Sum", "BinningVerticalMode": "Average"} if sums else {}
+
+    def read(self, name: str) -> Any:
+        """Its value."""
+        return self._fixed.get(name) or super().read(name)
+
+    def limits(self, name: str) -> Limits:
+        """What a number may be now."""
+        found = super().limits(name)
+        return Limits(ROW_US, found.high, ROW_US) if name == "ExposureTime" else found
+
+    def write(self, name: str, value: Any) -> None:
+        """As the camera does, an exposure time that is not whole rows becomes the nearest that is."""
+        if name in self._fixed:
+            raise CaptureError(
+                f"camera rejected {name}", why=f"requested {value}; it is always {self._fixed[name]}", remedy=CHANGE
+            )
+        if name != "ExposureTime":
+            return super().write(name, value)
+        if value < ROW_US:
+            raise CaptureError(f"camera rejected {name}", why=f"requested {value:g}, possible from {ROW_US:g}", remedy=CHANGE)
+        super().write(name, Limits(ROW_US, super().limits(name).high, ROW_US).nearest(value))
 
 
 def serial_of(number: int) -> str:

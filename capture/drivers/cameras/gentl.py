@@ -14,18 +14,15 @@ from typing import Any
 
 import numpy as np
 
-from koala3d.capture.drivers.cameras.base import first_line, only_one
-from koala3d.capture.drivers.cameras.genicam import GenicamCamera
+from koala3d.capture.drivers.cameras.base import only_one
+from koala3d.capture.drivers.cameras.genicam import Delivery, GenicamCamera
 from koala3d.capture.drivers.cameras.gentl_nodes import GenTlNodes, is_vendors, tried
-from koala3d.capture.drivers.cameras.pixels import colours
-from koala3d.capture.drivers.errors import CaptureError, RigConnectionError
-from koala3d.capture.drivers.measurements import Image
+from koala3d.capture.drivers.errors import RigConnectionError
 from koala3d.capture.model.device import Device
 from koala3d.capture.model.trajectory import CameraSettings
 
-TRANSFER_S = 3.0  # longest time for an image after its exposure [s]
-TRIES = 4  # attempts to get a complete image before the grab fails
 BUFFERS = 3
+SOON_S = 1e-3  # how long an old picture is waited for; harvesters takes 0 for forever
 PATHS = "GENICAM_GENTL64_PATH"  # where producers are installed, by the standard's own variable
 
 
@@ -46,25 +43,6 @@ class GenTlCamera(GenicamCamera):
         self._harvester: Any = None
         self._info: dict[str, str] = {}
 
-    def grab(self) -> Image:
-        """Trigger one exposure and wait for it; retries incomplete images up to `TRIES` times."""
-        self._require_open()
-        late = f"nothing within {self._patience_s:.1f} s"
-        why = ""
-        for _ in range(TRIES):
-            try:
-                image = self._try()
-            except Exception as error:
-                if not is_vendors(error):
-                    raise
-                why = late if type(error).__name__ == "TimeoutException" else first_line(error)
-                remedy = "check its cable and resume with --resume"
-                raise RigConnectionError("camera gave no image", where=self.name, why=why, remedy=remedy) from None
-            if image is not None:
-                return image
-        why, remedy = "packets were lost", "check cable and bandwidth, then resume with --resume"
-        raise CaptureError(f"camera gave {TRIES} damaged images in a row", where=self.name, why=why, remedy=remedy)
-
     def description(self) -> dict[str, Any]:
         """Model, serial number, region, exposure, and all settings that can be read."""
         self._require_open()
@@ -76,6 +54,8 @@ class GenTlCamera(GenicamCamera):
             "producer": self._info["producer"],
             "region": self.region.to_json(),
             "sensor": self._sensor,
+            "binning_modes": self.binning_modes,
+            "binning_gain": self.binning_gain,
             "exposure_us": self._exposure_us,
             "gain_db": self._gain_db,
             "pixel_format": self.nodes.read("PixelFormat"),
@@ -112,34 +92,43 @@ class GenTlCamera(GenicamCamera):
         self._connect()
         self._configure()
         self._camera.num_buffers = max(BUFFERS, self._camera.min_num_buffers)
-        self._camera.start()
+        self._start()
 
     @staticmethod
     def _is_vendors(error: BaseException) -> bool:
         return is_vendors(error)
 
-    @property
-    def _patience_s(self) -> float:
-        return TRANSFER_S + 1e-6 * self._exposure_us
-
-    def _try(self) -> Image | None:
+    def _expose(self) -> Delivery | str:
         host_time_ns = time.monotonic_ns()
         if "trigger" in self.device.leave:
             for _ in range(self._camera.num_buffers + 1):  # those that are full, and the one that is being exposed
                 self._camera.fetch(timeout=self._patience_s).queue()
         else:
+            self._drain()
             self.nodes.write("TriggerSoftware", None)
         with self._camera.fetch(timeout=self._patience_s) as buffer:
-            if not buffer.payload.components:
-                return None
-            part = buffer.payload.components[0]
-            channels = round(part.num_components_per_pixel)
-            if part.data.size != part.height * part.width * channels:
-                return None
+            part = buffer.payload.components[0] if buffer.payload.components else None
+            channels = 0 if part is None else round(part.num_components_per_pixel)
+            if part is None or part.data.size != part.height * part.width * channels:
+                self._number = None
+                return "packets were lost"
             shape = (part.height, part.width, channels) if channels > 1 else (part.height, part.width)
-            data, name, ticks = np.array(part.data).reshape(shape), str(part.data_format), _ticks(buffer)
-        raw = data.astype(np.uint16) if name.endswith("12") else None
-        return Image(colours(data, name), self._exposure_us, self._gain_db, ticks, host_time_ns, raw)
+            data, name = np.array(part.data).reshape(shape), str(part.data_format)
+            chunks = {one: float(self.nodes.read(f"Chunk{one}")) for one in self._chunks if self.nodes.has(f"Chunk{one}")}
+            return Delivery(data, name, _number(buffer), _ticks(buffer), host_time_ns, chunks)
+
+    def _drain(self) -> None:
+        """Throw away the pictures that are there."""
+        while (old := self._camera.try_fetch(timeout=SOON_S)) is not None:
+            self._number = _number(old)
+            old.queue()
+
+    def _start(self) -> None:
+        super()._start()
+        self._camera.start()
+
+    def _stop(self) -> None:
+        self._camera.stop()
 
     def _close(self) -> None:
         acquirer, harvester = self._camera, self._harvester
@@ -181,6 +170,11 @@ def _facts(info: Any) -> dict[str, str]:
     """What a producer says about a camera; it need not say all."""
     found = {key: str(tried(info, key) or "") for key in ("id_", "vendor", "model", "serial_number", "version")}
     return {**found, "producer": str(tried(info.parent.parent, "path_name") or "")}
+
+
+def _number(buffer: Any) -> int | None:
+    found = tried(buffer, "frame_id")
+    return None if found is None else int(found)
 
 
 def _ticks(buffer: Any) -> int:

@@ -5,6 +5,7 @@ from typing import Any
 
 from koala3d.capture.drivers.cameras.base import first_line
 from koala3d.capture.drivers.cameras.genicam import CHANGE
+from koala3d.capture.drivers.cameras.nodes import Limits
 from koala3d.capture.drivers.errors import CaptureError
 
 
@@ -34,9 +35,10 @@ class GenTlNodes:
         """Names of an enumeration's values."""
         return tuple(getattr(self.node(name), "symbolics", ()))
 
-    def step(self, name: str) -> int:
-        """By how much a whole number must change."""
-        return int(self.node(name).inc)
+    def limits(self, name: str) -> Limits:
+        """What a number may be now."""
+        node = self.node(name)
+        return Limits(node.min, node.max, node.inc if getattr(node, "has_inc", lambda: True)() else 0.0)
 
     def write(self, name: str, value: Any) -> None:
         """A command takes None."""

@@ -1,9 +1,25 @@
 """Settings of a camera by the names that it gives them, in most cases those of GenICam; each is read back where it is written."""
 
+import math
 from collections.abc import Callable, Collection, Mapping
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from koala3d.capture.drivers.errors import CaptureError
+
+
+class Limits(NamedTuple):
+    """What a number may be: from `low` to `high` in steps from `low`; `step` 0: any value between."""
+
+    low: float
+    high: float
+    step: float = 0.0
+
+    def nearest(self, value: float) -> float:
+        """The nearest that it may be. A value outside stays as it is, so that the camera refuses it."""
+        if not (self.step and self.low <= value <= self.high):
+            return value
+        steps = min(round((value - self.low) / self.step), math.floor((self.high - self.low) / self.step))
+        return self.low + steps * self.step
 
 
 class Nodes(Protocol):

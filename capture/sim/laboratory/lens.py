@@ -106,10 +106,12 @@ class Sensor:
         rng: np.random.Generator,
         raw_bits: int = 0,
         maps: SensorMaps | None = None,
+        binning_gain: int = 1,
     ) -> NDArray[np.uint8] | NDArray[np.uint16]:
         """(height, width, channels) sRGB bytes of linear light; with `raw_bits` linear values in the upper bits of 16.
 
-        Binning averages sensor pixels, which reduces the noise by the factor `binning`. `maps` are flaws of the pixels.
+        Binning averages sensor pixels, which reduces the noise by the factor `binning`; values are `binning_gain` times that
+        average where a camera adds pixels up. `maps` are flaws of the pixels.
         """
         sites = binning**2
         share = radiance / self.saturation * (exposure_us / self.reference_us)
@@ -119,12 +121,12 @@ class Sensor:
             )
         electrons = np.minimum(np.maximum(share, 0), 1.0) * self.full_well * sites
         noisy = rng.poisson(electrons) + rng.normal(0.0, self.read_noise * binning, electrons.shape)
-        amplified = noisy / (self.full_well * sites) * 10 ** (gain_db / 20)
+        amplified = noisy / (self.full_well * sites) * binning_gain * 10 ** (gain_db / 20)
         shares = np.clip(self.black_level + (1 - self.black_level) * amplified, 0.0, 1.0)
         if not raw_bits:
             return to_uint8(srgb_from_linear(shares))
         return (np.rint(shares * (2**raw_bits - 1)).astype(np.uint16) << (16 - raw_bits)).astype(np.uint16)
 
-    def white(self, exposure_us: float, gain_db: float) -> float:
+    def white(self, exposure_us: float, gain_db: float, binning_gain: int = 1) -> float:
         """Radiance that becomes white; a picture is clipped above it."""
-        return self.saturation * self.reference_us / exposure_us / 10 ** (gain_db / 20)
+        return self.saturation * self.reference_us / exposure_us / binning_gain / 10 ** (gain_db / 20)

@@ -143,6 +143,15 @@ def test_exposure(recording):
     assert words["003"] == ("has another exposure time", True)
 
 
+def test_an_exposure_that_the_camera_rounded_is_no_fault(recording):
+    path = recording / "manifest.json"
+    content = files.read_json(path)
+    files.write_json(path, content | {"camera": {**content["camera"], "exposure_us": 9100.0}})
+    for index in range(len(Recording.open(recording).frames)):
+        change_line(recording, index, exposure_us=9100.0)
+    assert found(recording) == []
+
+
 @pytest.mark.parametrize("axis", [0, 1])
 def test_blur(recording, axis):
     replace_image(recording, "006", uniform_filter1d(picture(6), 5, axis=axis))

@@ -41,10 +41,10 @@ def simulated(rig: str, *changes: str) -> Subject:
     return Subject(make, session.camera, other_exposure_us=5000.0)
 
 
-def basler(name: str) -> Subject:
-    rejected = ({"binning": 5}, {"gain_db": 60.0}, {"width": 5000}, {"exposure_us": 3e7})
+def basler(name: str, *, sums: bool = False) -> Subject:
+    rejected = ({"binning": 5}, {"gain_db": 60.0}, {"width": 5000}, {"exposure_us": 3e8})
     settings = SMALL.model_copy(update={"pixel_format": name})
-    return Subject(lambda wanted: Basler(wanted, emulated=True), settings, rejected, other_exposure_us=900.0)
+    return Subject(lambda wanted: Basler(wanted, emulated=True, sums=sums), settings, rejected, other_exposure_us=900.0)
 
 
 def realsense() -> Subject:
@@ -128,6 +128,7 @@ SUBJECTS: dict[str, Callable[[Path], Subject]] = {
     "basler rgb8": lambda folder: basler("rgb8"),
     "basler bayer12": lambda folder: basler("bayer12"),
     "basler mono8": lambda folder: basler("mono8"),
+    "basler that adds up": lambda folder: basler("rgb8", sums=True),
     "simulated": lambda folder: simulated("sim", "camera.width=64", "camera.height=48", "camera.binning=4"),
     "realsense": lambda folder: realsense(),
     "simulated realsense": lambda folder: (needs("pyrealsense2"), simulated("sim:franka_realsense", *SMALL_MODE))[1],

@@ -1,6 +1,7 @@
 """Through harvesters, on the GenTL producer that comes with the genicam package: a camera that shows a game."""
 
 import signal
+import time
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 from koala3d.capture.doctor.camera import check
 from koala3d.capture.doctor.lines import Verdict
+from koala3d.capture.drivers.cameras import genicam as shared
 from koala3d.capture.drivers.cameras.gentl import PATHS, GenTlCamera
 from koala3d.capture.drivers.errors import CaptureError, RigConnectionError
 from koala3d.capture.model.device import Device
@@ -37,6 +39,34 @@ def test_pictures_move_on_in_colour_and_in_grey():
         assert first.pixels.shape == (104, 104, channels) and (first.pixels != second.pixels).any(), "the ball has moved"
         assert (state["BouncingBallSize"], state["Width"]) == (40, 104)
         assert np.unique(first.pixels).size > 1
+
+
+def test_old_pictures_are_thrown_away_and_counted():
+    with GenTlCamera(SETTINGS, device()) as camera:
+        time.sleep(0.2)
+        camera._drain()
+        first = camera._number
+        time.sleep(0.2)
+        camera._drain()
+        assert first is not None and camera._number > first + 1
+
+
+def test_a_stream_starts_again_after_a_picture_that_did_not_come(monkeypatch):
+    with GenTlCamera(SETTINGS, device()) as camera:
+        before = [camera._expose().number for _ in range(4)][-1]
+        with monkeypatch.context() as patched, pytest.raises(RigConnectionError, match=r"gave no image .nothing within"):
+            patched.setattr(shared, "TRANSFER_S", -0.0095)  # the exposure time of the trajectory is 10 ms
+            camera.grab()
+        camera.grab()
+        assert camera._expose().number < before, "numbers begin again"
+
+
+def test_what_a_camera_sends_with_a_picture_is_read(monkeypatch):
+    """The producer counts the bounces of its ball; it has no exposure."""
+    monkeypatch.setattr(shared, "CHUNKS", ("NrBounces",))
+    with GenTlCamera(SETTINGS, device()) as camera:
+        delivered = camera._expose()
+    assert delivered.chunks.keys() == {"NrBounces"} and delivered.chunks["NrBounces"] >= 0
 
 
 @pytest.mark.usefixtures("ctrl_c")

@@ -66,7 +66,7 @@ def test_a_recording_holds_raw_values_and_the_flat_field(recorded):
     assert (path / "radiometry.npz").read_bytes() == flat.read_bytes()
     assert recording.part("radiometry")["sha256"] == files.sha256(flat)
     for frame in recording.frames:
-        assert [round(one.exposure_us) for one in frame.exposures] == [30000, 5000]
+        assert [round(one.exposure_us) for one in frame.exposures] == [29_995, 5005]
         assert [one.file for one in frame.exposures] == [f"raw/{frame.name}.png", f"raw/{frame.name}_1.png"]
         raw = images.read_stored(path / frame.exposures[1].file)
         assert raw.shape == (64, 96, 1) and (raw & 15 == raw >> 12).all()  # 12 bits, repeated below

@@ -65,7 +65,7 @@ def test_a_suggested_exposure_is_right_and_stays_so():
         camera.set_exposure(40_000)
         bright = Look.at(camera.grab(), part)
     assert right.suggested_us == pytest.approx(right.exposure_us, rel=0.03) and right.clipped == 0
-    assert bright.too_bright and bright.clipped == 1 and bright.suggested_us == pytest.approx(5000)
+    assert bright.too_bright and bright.clipped == 1 and bright.suggested_us == pytest.approx(40_005 / 8)
     assert "too bright" in bright.lines[2]
 
 

@@ -90,6 +90,15 @@ def test_noise_is_that_of_counting_electrons():
         assert spread == pytest.approx(np.hypot(wanted, rounding), rel=0.1)  # the slope varies over the spread
 
 
+def test_columns_that_are_added_up_are_brighter_at_the_same_time_and_noisier_at_the_same_brightness():
+    rng, whole = np.random.default_rng(1), {"binning": 4, "raw_bits": 12}
+    average, longer = photons(0.3, rng, **whole), photons(0.3, rng, **whole, binning_gain=4)
+    shorter = photons(0.3, rng, **whole, binning_gain=4, exposure_us=2500)
+    assert longer.mean() == pytest.approx(4 * average.mean(), rel=1e-3)
+    assert shorter.mean() == pytest.approx(average.mean(), rel=1e-3)
+    assert shorter.std() == pytest.approx(2 * average.std(), rel=0.05)  # a quarter of the electrons
+
+
 @pytest.mark.parametrize("bits", [8, 12])
 def test_raw_numbers_are_linear_and_have_their_bits(bits):
     pixels = photons(0.6, np.random.default_rng(1), raw_bits=bits)
