@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core.errors import DatasetError
 from koala3d.datasets.imaging import images
+from koala3d.datasets.imaging.pixels import resize_light
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -40,7 +41,7 @@ def shrunk(path: Path, width: int, height: int, *, colours: bool = True) -> NDAr
         top = 1.0 if stored.dtype == np.float32 else float(np.iinfo(stored.dtype).max)
         small = images.resize(stored.astype(np.float32) / np.float32(top), width, height, srgb=False)
     else:
-        small = images.resize_light(images.linear_from_stored(stored), width, height)
+        small = resize_light(images.linear_from_stored(stored), width, height)
         if stored.dtype != np.float32:
             count = small.shape[-1] - (small.shape[-1] in (2, 4))
             small[..., :count] = images.srgb_from_linear(small[..., :count])

@@ -20,7 +20,7 @@ from koala3d.datasets.core import files
 from koala3d.datasets.core.budgets import budget, free_memory
 from koala3d.datasets.core.errors import DatasetError, UsageError
 from koala3d.datasets.imaging import layers, profiles
-from koala3d.datasets.imaging.pixels import area_average
+from koala3d.datasets.imaging.pixels import area_average, resize_light
 
 PIXELS = "KOALA_MAX_PIXELS"
 FREE_PIXELS, PIXELS_PER_BYTE = 2**25, 64
@@ -129,12 +129,19 @@ def metadata(path: Path) -> dict[str, str | int | float]:
     return {name: found[name] for name in kept if isinstance(found[name], str | int | float) and name != "Orientation"}
 
 
-def write(path: Path, array: ArrayLike, *, metadata: Mapping[str, str | int | float] | None = None) -> None:
+def write(
+    path: Path,
+    array: ArrayLike,
+    *,
+    metadata: Mapping[str, str | int | float] | None = None,
+    multiplied: bool = True,
+) -> None:
     """Write (height, width) or (height, width, channels) atomically; the suffix selects the format.
 
     uint8 and uint16 are stored unchanged. Floats are stored as float32 in EXR and TIFF, float16 as half floats in EXR;
     elsewhere they are taken as 0..1 and rounded to 8 bits. Four channels are RGB and straight alpha. `metadata` is stored
-    as far as the format allows.
+    as far as the format allows. The alpha of an EXR multiplies its colours,
+    unless `multiplied` is False: if it says something else of them.
 
     Raises:
         DatasetError: the format cannot hold the array.
@@ -154,7 +161,7 @@ def write(path: Path, array: ArrayLike, *, metadata: Mapping[str, str | int | fl
     height, width, channels = pixels.shape
     kinds = {np.dtype(np.float32): "float", np.dtype(np.float16): "half"}
     spec = oiio.ImageSpec(width, height, channels, kinds.get(pixels.dtype, pixels.dtype.name))
-    if path.suffix.lower() == ".exr" and channels in (2, 4):  # its colours are multiplied by their alpha
+    if multiplied and path.suffix.lower() == ".exr" and channels in (2, 4):  # its colours are multiplied by their alpha
         pixels = np.concatenate([pixels[..., :-1] * pixels[..., -1:], pixels[..., -1:]], axis=-1)
     spec.attribute("oiio:UnassociatedAlpha", 1)
     spec.attribute("png:compressionLevel", 4)  # a third of the time of 6 for 7 % more bytes
@@ -252,17 +259,6 @@ def resize(array: ArrayLike, width: int, height: int, *, srgb: bool = True) -> N
         small = resize_light(light, width, height)
         return np.concatenate([srgb_from_linear(small[..., :-1]), small[..., -1:]], axis=-1)
     return srgb_from_linear(area_average(linear_from_srgb(pixels), width, height))
-
-
-def resize_light(light: NDArray[np.float32], width: int, height: int) -> NDArray[np.float32]:
-    """`resize` of linear light: 1 or 3 channels of colour, or 2 or 4 with a straight alpha, which weights the colours."""
-    if light.shape[:2] == (height, width) or light.shape[-1] not in (2, 4):
-        return area_average(light, width, height) if light.shape[:2] != (height, width) else light.copy()
-    alpha = light[..., -1:]
-    small = area_average(np.concatenate([light[..., :-1] * alpha, alpha], axis=-1), width, height)
-    small_alpha = small[..., -1:]
-    straight = small[..., :-1] / np.where(small_alpha > 0, small_alpha, 1.0)
-    return np.concatenate([straight, small_alpha], axis=-1, dtype=np.float32)
 
 
 def _open(path: Path) -> Any:

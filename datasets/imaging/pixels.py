@@ -20,6 +20,17 @@ def area_average(pixels: NDArray[np.float32], width: int, height: int) -> NDArra
     return np.ascontiguousarray(columns.reshape(width, height, channels).transpose(1, 0, 2), np.float32)
 
 
+def resize_light(light: NDArray[np.float32], width: int, height: int) -> NDArray[np.float32]:
+    """Area average of linear light: 1 or 3 channels of colour, or 2 or 4 with a straight alpha, which weights the colours."""
+    if light.shape[:2] == (height, width) or light.shape[-1] not in (2, 4):
+        return area_average(light, width, height) if light.shape[:2] != (height, width) else light.copy()
+    alpha = light[..., -1:]
+    small = area_average(np.concatenate([light[..., :-1] * alpha, alpha], axis=-1), width, height)
+    small_alpha = small[..., -1:]
+    straight = small[..., :-1] / np.where(small_alpha > 0, small_alpha, 1.0)
+    return np.concatenate([straight, small_alpha], axis=-1, dtype=np.float32)
+
+
 def _overlaps(old: int, new: int) -> Any:
     """Sparse (new, old) matrix: the share of new pixel i that old pixel j covers; rows sum to 1."""
     from scipy.sparse import csr_array

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koala3d.datasets.imaging import images
+from koala3d.datasets.imaging.pixels import resize_light
 
 LEFT = 4
 """A new pixel covers at least this many decoded ones along each axis, where a JPEG is decoded at a reduced size."""
@@ -111,6 +112,6 @@ def _averaged(picture: NDArray[Any], alpha: NDArray[Any] | None, width: int, hei
         if cover.shape[:2] != light.shape[:2]:
             cover = images.resize(cover, light.shape[1], light.shape[0], srgb=False)
         light = np.concatenate([light[..., :3], cover], axis=-1)
-    small = images.resize_light(light, width, height)
+    small = resize_light(light, width, height)
     small[..., :3] = images.srgb_from_linear(small[..., :3])
     return small

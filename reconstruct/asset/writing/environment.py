@@ -49,8 +49,9 @@ def picture(light: Light, base_from_asset: Float[np.ndarray, "4 4"], height: int
 
 
 def save(light: Light, base_from_asset: Float[np.ndarray, "4 4"], path: Path, *, height: int = HEIGHT) -> None:
-    """Write `picture` as an EXR of `height` rows and twice as many columns, with alpha for what is known."""
-    images.write(check(path), picture(light, base_from_asset, height), metadata={"Software": "koala"})
+    """Write `picture` as an EXR of `height` rows and twice as many columns, with alpha for what is known: it covers nothing."""
+    written = picture(light, base_from_asset, height)
+    images.write(check(path), written, metadata={"Software": "koala"}, multiplied=False)
 
 
 def summary(light: Light) -> tuple[dict[str, Any], str]:
