@@ -17,7 +17,7 @@ Either may have a `spline`, which moves (x', y') by what the formula leaves over
 """
 
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, Self
 
 import numpy as np
@@ -167,11 +167,14 @@ class Camera:
         return (wrong < INVERTED) & (np.linalg.norm(normalised, axis=-1) < self._radii[0, -1])
 
     def valid_pixels(self) -> NDArray[np.bool_] | None:
-        """(height, width) `valid` of all pixel centres; None if all are, which the border of the picture tells."""
+        """(height, width) `valid` of all pixel centres, read-only; None if all are, which the border of the picture tells."""
+        return _valid_pixels(self)
+
+    def _is_valid_at_the_border(self) -> bool:
         across, down = np.arange(self.width) + 0.5, np.arange(self.height) + 0.5
         sides = ((across, down[0]), (across, down[-1]), (across[0], down), (across[-1], down))
         border = np.concatenate([np.stack(np.broadcast_arrays(*side), axis=-1) for side in sides])
-        return None if self.valid(border).all() else self.valid(self.pixel_centres())
+        return bool(self.valid(border).all())
 
     def project(self, points: ArrayLike) -> Points:
         """(..., 3) points in the camera frame [m] to (..., 2) pixels. Points need z > 0."""
@@ -223,6 +226,16 @@ class Camera:
         if self.spline is not None:
             self.spline.checked(where=f"{where}, spline")
         return self
+
+
+@lru_cache(maxsize=4)
+def _valid_pixels(camera: Camera) -> NDArray[np.bool_] | None:
+    """`Camera.valid_pixels`, kept: views share cameras, and training asks again for each turn of a view."""
+    if camera._is_valid_at_the_border():
+        return None
+    valid = camera.valid(camera.pixel_centres())
+    valid.flags.writeable = False
+    return valid
 
 
 def fisheye_radial(r2: Points, coefficients: ArrayLike) -> tuple[Points, Points]:

@@ -148,9 +148,8 @@ class View:
         valid = camera.valid_pixels()
         if self.ignored is None:
             return valid
-        shares = images.as_float(images.read_stored(self.ignored))[..., :3].max(-1)
-        self._require_shape(shares.shape[1], shares.shape[0], self.ignored)
-        white = images.resize(shares, camera.width, camera.height, srgb=False)[..., 0] > 1 - BLACK
+        as_mask = replace(self, mask=self.ignored, mask_inverted=False)
+        white = as_mask.read_cover(camera.width, camera.height) > 1 - BLACK
         return white if valid is None else white & valid
 
     def read_image(self) -> NDArray[np.float32]:

@@ -130,12 +130,13 @@ class Gathering:
                 valid = small.valid_pixels()
                 shares[view.camera] = 1.0 if valid is None else float(valid.mean())
         found = [shares[view.camera] for view in self.views]
-        if min(found, default=1.0) < LEAST_VALID:
-            view = self.views[int(np.argmin(found))]
-            why = f"its formula can be inverted at {min(found):.0%} of the pixels, within 89 degrees of the axis"
+        least = min(found)
+        if least < LEAST_VALID:
+            view = self.views[found.index(least)]
+            why = f"its formula can be inverted at {least:.0%} of the pixels, within 89 degrees of the axis"
             remedy = "check the coefficients, or cut perspective images from the pictures"
             self.complain(DatasetError("lens is not usable", where=f"{self.folder}, view {view.name}", why=why, remedy=remedy))
-        elif (least := min(found)) < 1:
+        elif least < 1:
             count = sum(share < 1 for share in found)
             said = f"up to {1 - least:.0%} of the pixels of {count} views have no ray"
             self.notes.append(
@@ -159,10 +160,9 @@ class Gathering:
     def _tell_apart(self) -> None:
         """Add the suffix to names that several images share, such as `a` for `a.jpg` and `a.png`."""
         counts = Counter(view.name for view in self.views)
-        apart = [
+        self.views = [
             replace(view, name=f"{view.name}_{view.image.suffix[1:]}") if counts[view.name] > 1 else view for view in self.views
         ]
-        self.views = apart
 
 
 def listed_once(names: Iterable[object], *, where: object) -> None:

@@ -21,6 +21,7 @@ from koala3d.datasets.core.budgets import budget, free_memory
 from koala3d.datasets.core.errors import DatasetError, UsageError
 from koala3d.datasets.imaging import layers, profiles
 from koala3d.datasets.imaging.pixels import area_average, resize_light
+from koala3d.datasets.imaging.srgb import linear_from_srgb, srgb_from_linear
 
 PIXELS = "KOALA_MAX_PIXELS"
 FREE_PIXELS, PIXELS_PER_BYTE = 2**25, 64
@@ -140,8 +141,8 @@ def write(
 
     uint8 and uint16 are stored unchanged. Floats are stored as float32 in EXR and TIFF, float16 as half floats in EXR;
     elsewhere they are taken as 0..1 and rounded to 8 bits. Four channels are RGB and straight alpha. `metadata` is stored
-    as far as the format allows. The alpha of an EXR multiplies its colours,
-    unless `multiplied` is False: if it says something else of them.
+    as far as the format allows. In an EXR the alpha multiplies the colours, unless `multiplied` is False since it means
+    something else.
 
     Raises:
         DatasetError: the format cannot hold the array.
@@ -197,19 +198,6 @@ def _within(array: NDArray[Any]) -> NDArray[Any]:
     if np.isnan(array).any():
         raise DatasetError("picture holds NaN", why=f"{int(np.isnan(array).sum())} of {array.size} values")
     return np.clip(array, 0, 1)
-
-
-def linear_from_srgb(srgb: ArrayLike) -> NDArray[np.float32]:
-    """Linear light from sRGB values in 0..1 (IEC 61966-2-1)."""
-    srgb = np.asarray(srgb, np.float32)
-    return np.where(srgb <= 0.04045, srgb / 12.92, ((np.maximum(srgb, 0.0) + 0.055) / 1.055) ** 2.4).astype(np.float32)
-
-
-def srgb_from_linear(linear: ArrayLike) -> NDArray[np.float32]:
-    """sRGB values from linear light; the curve continues above 1."""
-    linear = np.asarray(linear, np.float32)
-    bright = 1.055 * np.maximum(linear, 0.0031308) ** (1 / 2.4) - 0.055
-    return np.where(linear <= 0.0031308, linear * 12.92, bright).astype(np.float32)
 
 
 def as_float(stored: NDArray[Any]) -> NDArray[np.float32]:

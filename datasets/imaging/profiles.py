@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from koala3d.datasets.imaging.srgb import srgb_from_linear
+
 PRIMARIES = np.array([[0.4360747, 0.3850649, 0.1430804], [0.2225045, 0.7168786, 0.0606169], [0.0139322, 0.0971045, 0.7141733]])
 """(3, 3) XYZ of sRGB's red, green and blue in its columns, adapted to D50 (Lindbloom)."""
 STEPS = 4096
@@ -42,7 +44,7 @@ class Conversion:
         values = picture[..., :3].astype(np.float32) * np.float32((STEPS - 1) / top)
         light = np.stack([self._light(values[..., k], k) for k in range(3)], axis=-1)
         light = np.asarray(cv2.transform(light, self.matrix)).reshape(light.shape)
-        encoded = _encoded(np.clip(light, 0, 1)) * np.float32(top)
+        encoded = srgb_from_linear(np.clip(light, 0, 1)) * np.float32(top)
         result = picture.copy()
         result[..., :3] = encoded if picture.dtype == np.float32 else encoded + 0.5
         return result
@@ -52,12 +54,6 @@ class Conversion:
         curve = self.curves[channel]
         first, second = curve[below], curve[np.minimum(below + 1, STEPS - 1)]
         return first + (second - first) * (values - below)
-
-
-def _encoded(light: NDArray[np.float32]) -> NDArray[np.float32]:
-    return np.where(
-        light <= 0.0031308, 12.92 * light, 1.055 * np.power(np.maximum(light, 0.0031308), np.float32(1 / 2.4)) - 0.055
-    )
 
 
 @lru_cache(maxsize=8)

@@ -32,13 +32,13 @@ def likeliest(features: Sequence[PictureFeatures], count: int) -> set[tuple[int,
 
 def looks(features: Sequence[PictureFeatures]) -> NDArray[np.float32]:
     """(pictures, words * 128) vectors of unit length; zero for a picture without features."""
-    chosen = [_unit(one.descriptors[:USED].astype(np.float32)) for one in features]
+    chosen = [unit(one.descriptors[:USED].astype(np.float32)) for one in features]
     words = _words(np.concatenate(chosen))
     result = np.zeros((len(chosen), WORDS, words.shape[1]), np.float32)
     for vector, descriptors in zip(result, chosen, strict=True):
         word = (descriptors @ words.T - (words**2).sum(1) / 2).argmax(1)
         np.add.at(vector, word, descriptors - words[word])
-    return _unit(_unit(result).reshape(len(chosen), -1))
+    return unit(unit(result).reshape(len(chosen), -1))
 
 
 def _words(descriptors: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -54,5 +54,6 @@ def _words(descriptors: NDArray[np.float32]) -> NDArray[np.float32]:
     return words
 
 
-def _unit(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
+def unit(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(..., n) vectors of unit length; zero for those without any."""
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-6)

@@ -9,7 +9,7 @@ from koala3d.datasets.core.progress import Step, ignore
 from koala3d.datasets.imaging.downscale import streamed
 from koala3d.datasets.imaging.reduced import READERS
 from koala3d.datasets.process.pictures.features import PictureFeatures
-from koala3d.datasets.process.poses.looks import likeliest
+from koala3d.datasets.process.poses.looks import likeliest, unit
 
 Pairs = list[tuple[int, int]]
 
@@ -54,10 +54,7 @@ def neighbours(count: int) -> Pairs:
 
 def alike(features: Sequence[PictureFeatures], *, done: Step = ignore) -> Pairs:
     """Pairs whose strongest features match: a quick look that spares most pairs the full matching."""
-    strongest = []
-    for found in features:
-        chosen = found.descriptors[:STRONGEST].astype(np.float32)
-        strongest.append(chosen / np.maximum(np.linalg.norm(chosen, axis=1, keepdims=True), 1e-6))
+    strongest = [unit(found.descriptors[:STRONGEST].astype(np.float32)) for found in features]
     worth: list[list[int]] = [[] for _ in features]
     for i, j in sorted(likeliest(features, LIKELIEST)):
         worth[i].append(j)

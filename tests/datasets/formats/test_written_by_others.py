@@ -330,6 +330,17 @@ def test_pixels_without_a_ray_are_counted_or_the_lens_is_refused(tmp_path: Path)
         load_scene(tmp_path / "none")
 
 
+@pytest.mark.parametrize(("suffix", "white"), [(".png", 1), (".jpg", 255)])
+def test_masks_of_what_to_ignore_are_read_as_other_masks_are(transforms: Writer, tmp_path: Path, suffix: str, white: int) -> None:
+    """Labels instead of white, and the noise of JPEG near black: whether a pixel takes part must not hang on that."""
+    gripper = np.full((80, 120), white, np.uint8)
+    gripper[64:, 40:80] = 0  # whole blocks of a JPEG
+    photographs.write(tmp_path / f"mask{suffix}", gripper)
+    for view in load_scene(transforms(frame=lambda k: {"mask_path": f"mask{suffix}"})).views:
+        counted = view.counted(view.camera)
+        assert counted is not None and np.array_equal(counted, gripper > 0)
+
+
 def test_masks_of_what_is_in_the_way_hide_pixels_and_no_background(transforms: Writer, tmp_path: Path) -> None:
     """As nerfstudio reads mask_path: a gripper at the lower edge of all pictures of a room."""
     gripper = np.full((80, 120), 255, np.uint8)

@@ -66,7 +66,10 @@ def program_of(*lines: str) -> str:
 @pytest.mark.parametrize("statement", STATEMENTS)
 def test_every_statement_is_taken_in_every_place(statement: str) -> None:
     for outer, inner in itertools.product(PLACES, PLACES):
-        check(program_of(outer.format(inner.format(statement)), "x = 0"))
+        program = program_of(outer.format(inner.format(statement)), "x = 0")
+        check(program)
+        with pytest.raises(ScriptError):  # nothing is taken for the block's end
+            check(program.removesuffix("end\n"))
 
 
 def test_indentation_does_not_matter() -> None:
