@@ -50,7 +50,7 @@ def build(
     as_json: Json = False,
 ) -> None:
     """Make a posed scene from a recording and a calibration."""
-    from koala3d.datasets.build import build as build_scene
+    from koala3d.datasets.building.build import build as build_scene
     from koala3d.datasets.checks.check import summary
     from koala3d.datasets.recording import Recording
 
@@ -108,7 +108,7 @@ def view(
     from koala3d.datasets.core.errors import KoalaError
     from koala3d.datasets.formats import load_scene
     from koala3d.datasets.page import open_page
-    from koala3d.datasets.page.view import describe, show
+    from koala3d.datasets.reports.page.view import describe, show
 
     problems: list[KoalaError] = []
     loaded = load_scene(scene, data_root=data_root, images=images, problems=problems)
@@ -156,7 +156,7 @@ def export(
     as_json: Json = False,
 ) -> None:
     """Write a scene in another format. Images are undistorted where that format has no lens model."""
-    from koala3d.datasets.build import extra_truth
+    from koala3d.datasets.building.build import extra_truth
     from koala3d.datasets.core.files import refuse_existing
     from koala3d.datasets.formats import find, load_scene, save_scene
 

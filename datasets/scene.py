@@ -5,6 +5,7 @@ where the source is metric.
 """
 
 import unicodedata
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, Self, get_args
@@ -264,6 +265,13 @@ class View:
             )
             remedy = "use the images that the cameras were made for"
             raise DatasetError("image has the wrong size", where=where, why=why, remedy=remedy)
+
+
+def with_test_views(views: Iterable[View], every: int) -> tuple[View, ...]:
+    """The views with every `every`-th by sorted name, from the first on, as "test", the rest as "train"; 0 for no test views."""
+    views = tuple(views)
+    test = {view.name for view in sorted(views, key=lambda view: view.name)[::every]} if every > 0 else set()
+    return tuple(replace(view, split="test" if view.name in test else "train") for view in views)
 
 
 @dataclass(frozen=True, eq=False)

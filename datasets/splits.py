@@ -1,22 +1,12 @@
-"""Choices of views: every Nth for testing, some evenly spread, folds for cross-validation."""
+"""Choices among views: some evenly spread, folds for cross-validation."""
 
-from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.datasets.scene import View
-
 Item = TypeVar("Item")
-
-
-def hold_out(views: Iterable[View], every: int) -> tuple[View, ...]:
-    """The views with every `every`-th by sorted name, from the first on, as "test", the rest as "train"; 0 for no test views."""
-    views = tuple(views)
-    test = {view.name for view in sorted(views, key=lambda view: view.name)[::every]} if every > 0 else set()
-    return tuple(replace(view, split="test" if view.name in test else "train") for view in views)
 
 
 def evenly(items: Sequence[Item], most: int) -> tuple[Item, ...]:

@@ -65,7 +65,7 @@ def view(
             show(page, Run.open(path), mesh=mesh, asset=lit)
         else:
             from koala3d.datasets.formats import load_scene
-            from koala3d.datasets.page.view import show as show_scene
+            from koala3d.datasets.reports.page.view import show as show_scene
 
             show_scene(page, path, load_scene(path), quick=True)
         console.report({"url": page.url, "path": str(path)}, as_json=as_json, text=f"{page.url} shows {path}; Ctrl-C ends it")

@@ -184,7 +184,7 @@ def _write(
     moved: bool = False,
 ) -> None:
     """Load a scene, change it, and write it as a Koala scene, all or nothing. A scene that `moved` loses its truth."""
-    from koala3d.datasets.build import extra_truth
+    from koala3d.datasets.building.build import extra_truth
     from koala3d.datasets.core.files import refuse_existing
     from koala3d.datasets.formats import find, koala, load_scene
     from koala3d.datasets.formats.links import plain_masks

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.datasets import splits
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import UsageError
@@ -22,7 +21,7 @@ from koala3d.datasets.core.progress import Step, ignore
 from koala3d.datasets.formats import export
 from koala3d.datasets.formats.links import file_name
 from koala3d.datasets.imaging import downscale, images
-from koala3d.datasets.scene import LOSSY, SPLITS, Scene, Sightings, View
+from koala3d.datasets.scene import LOSSY, SPLITS, Scene, Sightings, View, with_test_views
 
 Pixels = NDArray[np.float64]
 _CENTRED = export.Layout("", lambda camera: camera.is_centred, "", mask="masks/{stem}")
@@ -49,7 +48,7 @@ def split(scene: Scene, *, every: int = 8, test: str = "", val: str = "") -> Sce
     Where both are empty, every `every`-th view by sorted name, from the first on, is a test view.
     """
     if not (test or val):
-        return scene.with_views(splits.hold_out(scene.views, every))
+        return scene.with_views(with_test_views(scene.views, every))
 
     def named(view: View) -> str:
         return "test" if test and fnmatch(view.name, test) else "val" if val and fnmatch(view.name, val) else "train"

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from koala3d.datasets import splits
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import KoalaError
 from koala3d.datasets.core.progress import Step, ignore
@@ -18,7 +17,7 @@ from koala3d.datasets.formats.finding.pictures import without_suffix
 from koala3d.datasets.formats.finding.stated import Images, other_path
 from koala3d.datasets.formats.links import Extra, copy_all, file_name
 from koala3d.datasets.imaging import images
-from koala3d.datasets.scene import DISPARITY, SPLITS, Scene, View
+from koala3d.datasets.scene import DISPARITY, SPLITS, Scene, View, with_test_views
 
 TRUTH = {"normals": ("_normal.png",), "alpha": ("_alpha.png",), "depth": (f"{DISPARITY}.tiff", f"{DISPARITY}.tif")}
 """Name suffixes of the truth maps; the first of each is written."""
@@ -50,7 +49,7 @@ def load(
     if (known := sidecar.read(folder)) is not None:
         return sidecar.restore(known, views, folder, notes=tuple(gathering.notes))
     if not any(view.split == "test" for view in views):
-        train = splits.hold_out([view for view in views if view.split == "train"], hold_out)
+        train = with_test_views([view for view in views if view.split == "train"], hold_out)
         views = (*train, *(view for view in views if view.split != "train"))
     return assemble.scene(gathering, views, "blender")
 

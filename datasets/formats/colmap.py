@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from koala3d.datasets import pose, splits
+from koala3d.datasets import pose
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import DatasetError, KoalaError, UsageError
@@ -20,7 +20,7 @@ from koala3d.datasets.formats.colmap_files import Model, StoredCamera, StoredIma
 from koala3d.datasets.formats.finding import models
 from koala3d.datasets.formats.finding.pictures import Listing, homes, photographs, without_suffix
 from koala3d.datasets.formats.links import Extra, copy_all, file_name, write_smaller
-from koala3d.datasets.scene import Scene, Sightings, View
+from koala3d.datasets.scene import Scene, Sightings, View, with_test_views
 
 _FOCALS, _TANGENTIAL = ("fx", "fy", "cx", "cy"), ("k1", "k2", "p1", "p2")
 PARAMETERS = {
@@ -109,7 +109,7 @@ def _assembled(
             sightings = replace(sightings, names=tuple(sidecar.name_of(stored_facts, name) for name in sightings.names))
         scene = sidecar.restore(stored_facts, views, gathering.folder, notes=tuple(gathering.notes))
     else:
-        scene = assemble.scene(gathering, splits.hold_out(views, hold_out), "colmap")
+        scene = assemble.scene(gathering, with_test_views(views, hold_out), "colmap")
         scene = assemble.with_points(scene, model.points) if len(model.points) else scene
     return replace(scene, points=model.points, colours=model.colours, sightings=sightings) if len(model.points) else scene
 

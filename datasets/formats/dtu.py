@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.datasets import pose, splits
+from koala3d.datasets import pose
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.conventions import opencv_from_pixels, pixels_from_opencv
 from koala3d.datasets.core import arrays, files
@@ -21,7 +21,7 @@ from koala3d.datasets.formats import assemble, export, sidecar
 from koala3d.datasets.formats.finding import pictures
 from koala3d.datasets.formats.links import Extra, copy_all
 from koala3d.datasets.imaging import images
-from koala3d.datasets.scene import Scene, View
+from koala3d.datasets.scene import Scene, View, with_test_views
 from koala3d.datasets.structure import bounds
 
 CAMERAS = ("cameras_sphere.npz", "cameras.npz", "cameras_large.npz")
@@ -63,7 +63,7 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, p
     views = gathering.finished(listed_in=home)
     if (known := sidecar.read(folder)) is not None:
         return sidecar.restore(known, views, folder, notes=tuple(gathering.notes))
-    scene = assemble.scene(gathering, splits.hold_out(views, hold_out), "dtu")
+    scene = assemble.scene(gathering, with_test_views(views, hold_out), "dtu")
     return _in_sphere(scene, stored["scale_mat_0"]) if "scale_mat_0" in stored else scene
 
 

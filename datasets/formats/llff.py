@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.datasets import pose, splits
+from koala3d.datasets import pose
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.conventions import OPENCV_FROM_LLFF
 from koala3d.datasets.core import arrays, files
@@ -18,7 +18,7 @@ from koala3d.datasets.core.progress import Step, ignore
 from koala3d.datasets.formats import assemble, export, sidecar
 from koala3d.datasets.formats.finding import pictures
 from koala3d.datasets.formats.links import Extra, copy_all, file_name, write_smaller
-from koala3d.datasets.scene import Scene, View
+from koala3d.datasets.scene import Scene, View, with_test_views
 from koala3d.datasets.structure import bounds
 
 FILE = "poses_bounds.npy"
@@ -63,7 +63,7 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, p
     if (known := sidecar.read(folder)) is not None:
         return sidecar.restore(known, views, folder, notes=tuple(gathering.notes))
     near_far = (rows[:, 15].min(), rows[:, 16].max())
-    return assemble.scene(gathering, splits.hold_out(views, hold_out), "llff", near_far=near_far)
+    return assemble.scene(gathering, with_test_views(views, hold_out), "llff", near_far=near_far)
 
 
 def read_rows(path: Path) -> NDArray[np.float64]:

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.datasets import splits
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import DatasetError, KoalaError
@@ -21,7 +20,7 @@ from koala3d.datasets.formats.finding.pictures import without_suffix
 from koala3d.datasets.formats.finding.stated import Images, leaves, other_path, plain
 from koala3d.datasets.formats.links import Extra, copy_all, file_name, write_smaller
 from koala3d.datasets.imaging import downscale, images
-from koala3d.datasets.scene import SPLITS, Scene, View
+from koala3d.datasets.scene import SPLITS, Scene, View, with_test_views
 
 FILE = "transforms.json"
 LAYOUT = export.Layout(
@@ -79,7 +78,7 @@ def load(
         return replace(sidecar.restore(known, views, folder, notes=tuple(gathering.notes)), points=points, colours=colours)
     gathering.notes += _unused(content, frames, views)
     if not stated:
-        views = splits.hold_out(views, hold_out)
+        views = with_test_views(views, hold_out)
     scene = assemble.scene(gathering, views, "nerfstudio")
     return scene if points is None else replace(assemble.with_points(scene, points), colours=colours)
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from koala3d.datasets import pose, splits
+from koala3d.datasets import pose
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core import arrays, files
 from koala3d.datasets.core.errors import DatasetError, KoalaError
@@ -17,7 +17,7 @@ from koala3d.datasets.formats import assemble, opengl
 from koala3d.datasets.formats.finding.pictures import without_suffix
 from koala3d.datasets.formats.finding.stated import Images, other_path
 from koala3d.datasets.imaging import images
-from koala3d.datasets.scene import Scene, View
+from koala3d.datasets.scene import Scene, View, with_test_views
 
 FILE = "meta_data.json"
 MASKS = ("foreground_mask", "mask_path")
@@ -55,7 +55,7 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, p
             masks = (other_path(frame, key, folder, where=where) for key in MASKS)
             name = without_suffix(image.relative_to(folder))
             gathering.views.append(View(name, camera, matrix, "train", image, next(filter(None, masks), None)))
-    scene = assemble.scene(gathering, splits.hold_out(gathering.finished(listed_in=FILE), hold_out), "sdfstudio")
+    scene = assemble.scene(gathering, with_test_views(gathering.finished(listed_in=FILE), hold_out), "sdfstudio")
     return _in_box(scene, content.get("scene_box"), where=source)
 
 

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from koala3d.datasets import splits
 from koala3d.datasets.core import console, files
 from koala3d.datasets.core.errors import DatasetError, UsageError
 from koala3d.datasets.formats import colmap, koala
@@ -23,7 +22,7 @@ from koala3d.datasets.process.poses.database import Picture
 from koala3d.datasets.process.work import Work, state
 from koala3d.datasets.process.world import alignment
 from koala3d.datasets.process.world.alignment import Aligned, Wishes
-from koala3d.datasets.scene import Scene
+from koala3d.datasets.scene import Scene, with_test_views
 from koala3d.datasets.structure.reprojection import errors_px
 
 
@@ -177,7 +176,7 @@ def _loaded(pictures: list[Picture], work: Work, name: str) -> tuple[Scene, Mapp
     """The model as a scene with the pictures' own names and every eighth view for testing; and the markers in each view."""
     scene = colmap.load(work.folder)
     names = {Path(picture.file).stem: picture.photograph.name for picture in pictures}
-    views = splits.hold_out((replace(view, name=names[view.name]) for view in scene.views), 8)
+    views = with_test_views((replace(view, name=names[view.name]) for view in scene.views), 8)
     sightings = scene.sightings and replace(scene.sightings, names=tuple(names[n] for n in scene.sightings.names))
     seen = {picture.photograph.name: _at_full_size(picture) for picture in pictures}
     return replace(scene, name=name, views=views, sightings=sightings), seen

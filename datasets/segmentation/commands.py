@@ -58,7 +58,7 @@ def mask(
 
     Cameras should look at the object from all around, and it should differ from what is behind it in colour. Where its shape
     is known, --mesh needs neither."""
-    from koala3d.datasets.build import extra_truth
+    from koala3d.datasets.building.build import extra_truth
     from koala3d.datasets.core import files
     from koala3d.datasets.core.errors import UsageError
     from koala3d.datasets.formats import find, load_scene

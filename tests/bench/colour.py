@@ -18,8 +18,8 @@ from koala3d.capture.rig.cameras import camera_for
 from koala3d.capture.sessions.live.flat import measured, statistics
 from koala3d.capture.sim.camera import SimulatedCamera
 from koala3d.capture.sim.laboratory.scenes import CARDS
+from koala3d.datasets.building.develop import develop
 from koala3d.datasets.core.errors import UsageError
-from koala3d.datasets.develop import develop
 from koala3d.datasets.imaging import images
 from koala3d.datasets.radiometry.response import Response
 from koala3d.datasets.recording import RADIOMETRY, Frame, Recording

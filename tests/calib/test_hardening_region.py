@@ -9,7 +9,7 @@ import pytest
 
 from koala3d.calib.calibrate import calibrate_handeye
 from koala3d.calib.sessions.session import observe_recording
-from koala3d.datasets.build import camera_for
+from koala3d.datasets.building.build import camera_for
 from koala3d.datasets.calibration import Calibration
 from koala3d.datasets.recording import Recording
 

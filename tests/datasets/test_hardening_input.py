@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from koala3d.datasets.build import build
+from koala3d.datasets.building.build import build
 from koala3d.datasets.calibration import Calibration, UncertainPose
 from koala3d.datasets.core.errors import DatasetError, KoalaError, UsageError
 from koala3d.datasets.core.schema import Schema, load_yaml
@@ -68,7 +68,7 @@ def test_nothing_is_written_outside_the_output_folder(scene_with_truth: Scene, t
 
 
 def test_a_link_among_the_true_meshes_is_not_copied(scene_with_truth: Scene, tmp_path: Path) -> None:
-    from koala3d.datasets.build import extra_truth
+    from koala3d.datasets.building.build import extra_truth
 
     save_scene(scene_with_truth, tmp_path / "scene", "koala")
     (tmp_path / "secret").write_text("private key")

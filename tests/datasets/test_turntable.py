@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from koala3d.datasets import pose
-from koala3d.datasets.build import BACKGROUND_STANDS, build
+from koala3d.datasets.building.build import BACKGROUND_STANDS, build
 from koala3d.datasets.calibration import Calibration, UncertainPose
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core import files

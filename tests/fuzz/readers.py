@@ -12,7 +12,7 @@ from koala3d.calib.sessions.description import load_description
 from koala3d.capture.model.rig import load_rig
 from koala3d.capture.model.trajectory import load_trajectory
 from koala3d.capture.recording.check import check as check_recording
-from koala3d.datasets.build import build, extra_truth
+from koala3d.datasets.building.build import build, extra_truth
 from koala3d.datasets.calibration import Calibration
 from koala3d.datasets.checks.check import check
 from koala3d.datasets.core.errors import KoalaError

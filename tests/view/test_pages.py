@@ -59,7 +59,7 @@ def test_a_command_serves_several_browsers_and_ends_on_ctrl_c(
 
 def test_a_scene_shows_its_cameras_and_is_measured(make_scene: Callable[..., Scene], browse: Browse) -> None:
     """Cameras have the colours of their splits; the ruler takes the one point, on which all cameras look."""
-    from koala3d.datasets.page.view import SceneView
+    from koala3d.datasets.reports.page.view import SceneView
 
     with open_page("scene", 0) as page:
         SceneView(page, replace(make_scene(), points=np.zeros((1, 3)))).add_thumbnails()

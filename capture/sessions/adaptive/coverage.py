@@ -11,7 +11,7 @@ from koala3d.capture.planning import PlannedView
 from koala3d.capture.sessions.adaptive.known_shape import covered_after, surface_of
 from koala3d.capture.sessions.adaptive.session import check
 from koala3d.capture.sessions.adaptive.shape import eye_of, lens_of
-from koala3d.datasets.build import camera_for
+from koala3d.datasets.building.build import camera_for
 from koala3d.datasets.calibration import Calibration
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.recording import Recording

@@ -18,7 +18,7 @@ from koala3d.capture.sessions.adaptive.gain import Seen
 from koala3d.capture.sessions.adaptive.loop import Known
 from koala3d.capture.sessions.adaptive.places import Places, of_box
 from koala3d.capture.sessions.adaptive.sight import Eye
-from koala3d.datasets.build import camera_for
+from koala3d.datasets.building.build import camera_for
 from koala3d.datasets.calibration import Calibration
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core.errors import UsageError

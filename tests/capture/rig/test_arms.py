@@ -14,7 +14,7 @@ from koala3d.capture.rig.arms import open_arm
 from koala3d.capture.rig.controllers import controller_model
 from koala3d.capture.rig.naming import describe
 from koala3d.datasets import pose
-from koala3d.datasets.build import build
+from koala3d.datasets.building.build import build
 from koala3d.datasets.calibration import Calibration, UncertainPose
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core import files

@@ -15,7 +15,7 @@ from koala3d.capture.recording.check import check
 from koala3d.capture.recording.recorder import _size, record
 from koala3d.capture.rig.naming import describe
 from koala3d.capture.rig.opening import open_rig
-from koala3d.datasets.build import build
+from koala3d.datasets.building.build import build
 from koala3d.datasets.calibration import Calibration, UncertainPose
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core import files

@@ -20,7 +20,7 @@ from unittest import mock
 import numpy as np
 
 from koala3d.datasets import pose
-from koala3d.datasets.build import build
+from koala3d.datasets.building.build import build
 from koala3d.datasets.calibration import Calibration, UncertainPose
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core import files

@@ -12,7 +12,7 @@ from koala3d.capture.rig.cameras import camera_for
 from koala3d.capture.rig.opening import open_rig
 from koala3d.capture.sessions.live.flat import measured, statistics
 from koala3d.datasets import pose
-from koala3d.datasets.build import build
+from koala3d.datasets.building.build import build
 from koala3d.datasets.calibration import Calibration, UncertainPose
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import DatasetError, UsageError

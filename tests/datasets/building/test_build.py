@@ -8,7 +8,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from koala3d.datasets import pose
-from koala3d.datasets.build import build, with_measured_near
+from koala3d.datasets.building.build import build, with_measured_near
 from koala3d.datasets.calibration import Calibration, UncertainPose
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core import files

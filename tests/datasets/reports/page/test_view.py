@@ -11,7 +11,7 @@ import viser
 from koala3d.datasets import pose
 from koala3d.datasets.formats import koala
 from koala3d.datasets.page import open_page, shapes
-from koala3d.datasets.page.view import SceneView, caption, views_of
+from koala3d.datasets.reports.page.view import SceneView, caption, views_of
 from koala3d.datasets.scene import Scene
 
 

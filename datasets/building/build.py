@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from koala3d.datasets.building.develop import developing
+from koala3d.datasets.building.lamps import light_of
 from koala3d.datasets.calibration import Calibration
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import DatasetError, UsageError
 from koala3d.datasets.core.progress import Step, ignore
-from koala3d.datasets.develop import developing
 from koala3d.datasets.formats import koala
 from koala3d.datasets.formats.assemble import CAMERAS_ALONE
 from koala3d.datasets.imaging import images
@@ -26,7 +27,6 @@ from koala3d.datasets.imaging.region import Region
 from koala3d.datasets.recording import DEPTH, MANIFEST, TRUTH, Frame, Recording
 from koala3d.datasets.scene import CHANNELS, SPLITS, STATED, Scene, View
 from koala3d.datasets.structure import bounds
-from koala3d.datasets.structure.lamps import light_of
 from koala3d.datasets.structure.measure import measured
 
 SENSOR = "sensor"
