@@ -141,7 +141,8 @@ class ControlProgram(Registers):
             self.fail(f"{called(self.int_argument(0))}: {error}")
             return
         self._body = None
-        self._state(DONE)
+        if self.arm.may_move:  # else the command was answered by a stop for safety, which ends the program
+            self._state(DONE)
 
     def _state(self, value: int) -> None:
         self.output_ints[self.offset] = value

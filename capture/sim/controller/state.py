@@ -124,6 +124,9 @@ class Controller:
         """One cycle of the program, the safety limits and the watchdog."""
         program, now = self.program, self.now
         self.arm.check_limits(now)
+        if self.arm.why:
+            self.report(self.arm.why)
+            self.arm.why = ""
         guarded = is_guarded(self.arm.safety.name)
         if guarded:
             self.pause_program()
