@@ -1,5 +1,6 @@
 """What people's scripts call, through the vendor's own client over loopback. docs/simulated_controller.md lists the calls."""
 
+import ast
 import re
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 from koala3d.capture.model.kinematics import forward, pose_from_six
+from koala3d.capture.sim.controller.commands.table import ACTIONS, ANSWERS, CALLS
 from koala3d.capture.sim.controller.process import SimulatedController
 from koala3d.datasets import pose
 from tests.moments import until
@@ -61,6 +63,7 @@ class Clients:
         if self.receive.isProtectiveStopped():
             self.dashboard.unlockProtectiveStop()
             until(lambda: not self.receive.isProtectiveStopped(), "an unlocked arm")
+        self.control.isSteady()  # clears the command register: the next program would carry out what is in it
         self.control.reuploadScript()
         until(self.control.isProgramRunning, "a program that runs")
 
@@ -161,13 +164,13 @@ def test_a_path_of_lines_is_rounded_within_the_radius_and_straight_elsewhere(arm
     sharp = [[*point, 0.25, 1.2, 0.0] for point in points[1:]]
     places = watched(arm, lambda: arm.control.moveL(sharp, True))
     nearest, elsewhere = corner_of(places, points[:, :3])
-    assert nearest < 1e-3 and elsewhere < STRAIGHT_M
+    assert nearest < 6e-3 and elsewhere < STRAIGHT_M
     until(lambda: np.abs(arm.tool - points[2]).max() < STRAIGHT_M, "the end of the path")
     assert arm.control.moveJ(START.tolist(), 3.0, 8.0)
     until(lambda: arm.arrived(START) and arm.at_rest(), "the arm at its start")
     places = watched(arm, lambda: arm.control.moveL([[*points[1], 0.25, 1.2, 0.03], sharp[1]], True))
     nearest, elsewhere = corner_of(places, points[:, :3])
-    assert 1e-3 < nearest < 0.03 and elsewhere < STRAIGHT_M
+    assert 7e-3 < nearest < 0.03 and elsewhere < STRAIGHT_M
 
 
 def test_a_path_of_joints_is_rounded_and_ends_at_its_last_waypoint(arm: Clients) -> None:
@@ -389,8 +392,8 @@ def test_what_cannot_be_done_ends_the_program_and_is_said(arm: Clients, begin: s
         "speedL": lambda: control.speedL([0.0, 0.0, 0.01, 0.0, 0.0, 0.0]),
         "moveJ": lambda: control.moveJ([*joints[:5], 2.0], 0.5, 1.0, begin == "moveJ"),
         "teachMode": control.teachMode,
-        "moveL far": lambda: control.moveL(aside(arm, 1.0, 0.0, 0.0).tolist()),
-        "moveJ_IK far": lambda: control.moveJ_IK(aside(arm, 1.0, 0.0, 0.0).tolist()),
+        "moveL far": lambda: control.moveL(aside(arm, -1.0, 0.0, 0.0).tolist()),
+        "moveJ_IK far": lambda: control.moveJ_IK(aside(arm, -1.0, 0.0, 0.0).tolist()),
         "stopL": lambda: control.stopL(5.0),
         "moveJ path beyond": lambda: control.moveJ([[*joints, 1.0, 1.0, 0.0], [*joints[:5], 7.0, 1.0, 1.0, 0.0]]),
         "moveJ beyond": lambda: control.moveJ([*joints[:5], 7.0]),
@@ -407,3 +410,30 @@ def test_what_cannot_be_done_ends_the_program_and_is_said(arm: Clients, begin: s
 def test_a_protective_stop_that_a_client_asks_for(arm: Clients) -> None:
     assert arm.control.triggerProtectiveStop() is False  # it worked, and the program that would say so has ended
     until(arm.receive.isProtectiveStopped, "the stop")
+
+
+def documented() -> set[str]:
+    """Calls in the first column of the table on the page."""
+    table = PAGE.read_text().split("## Calls")[1].split("## ")[0]
+    return {
+        call for line in table.splitlines() if line.startswith("| `") for call in re.findall(r"`(\w+)`", line.split(" | ")[0])
+    }
+
+
+def called_here() -> set[str]:
+    """Names of the attributes that this file uses, and of the calls that it names in parameters."""
+    nodes = list(ast.walk(ast.parse(Path(__file__).read_text())))
+    names = {node.attr for node in nodes if isinstance(node, ast.Attribute)}
+    return names | {node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)}
+
+
+def test_every_call_on_the_page_exists_and_is_tested() -> None:
+    classes = (rtde_control.RTDEControlInterface, rtde_receive.RTDEReceiveInterface, rtde_io.RTDEIOInterface)
+    known = {name for one in classes for name in dir(one)}
+    assert len(documented()) > 60 and documented() <= known
+    assert not documented() - called_here()
+
+
+def test_every_command_that_is_simulated_is_on_the_page() -> None:
+    simulated = {CALLS[number] for number in (*ACTIONS, *ANSWERS)}
+    assert not simulated - documented() and not {CALLS[number] for number in CALLS.keys() - {*ACTIONS, *ANSWERS}} & documented()

@@ -111,3 +111,18 @@ def test_strangers_on_the_ports_do_no_harm():
             with socket.create_connection((simulated.host, port), 1.0) as stranger:
                 stranger.sendall(words)
         assert simulated.ask("truth")["safety"] == "NORMAL"
+
+
+def test_the_command_says_what_is_refused():
+    host = "127.90.0.7" if sys.platform == "linux" else "127.0.0.1"
+    command = [sys.executable, "-m", "koala3d.capture.cli", "sim", "--host", host]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None and process.stderr is not None
+        assert host in process.stdout.readline()
+        with socket.create_connection((host, 30003), 5.0) as client:
+            client.sendall(b"def program():\n  moveJ([0, 0, 0, 0, 0, 0])\nend\n")
+            answer = client.makefile().readline().strip()
+        assert answer == "line 2, column 3: there is no function 'moveJ'; did you mean 'movej'?"
+        assert process.stderr.readline().strip().endswith(answer)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(10) == 0
