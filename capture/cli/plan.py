@@ -67,6 +67,7 @@ def plan(
     rig: RigName = "sim",
     plot: Annotated[Path | None, Option(metavar="PLAN.png", help="Draw views, paths and joint angles.")] = None,
     page: Annotated[Path | None, Option(metavar="PLAN.html", help="Write a page with the plan in 3D.")] = None,
+    urdf: Annotated[Path | None, Option(metavar="FOLDER", help="Write the rig as a URDF, and the plan for MoveIt.")] = None,
     coverage: Coverage = None,
     for_mesh: ForMesh = None,
     out: Out = None,
@@ -83,6 +84,7 @@ def plan(
     directions that differ.
     """
     from koala3d.capture.model.trajectory import load_trajectory
+    from koala3d.capture.planning import Obstacles, export
     from koala3d.capture.planning import plan as plan_session
     from koala3d.capture.rig.naming import describe
     from koala3d.datasets.core.errors import UsageError
@@ -96,7 +98,7 @@ def plan(
         raise UsageError("is printed by --for-mesh as well", where="--coverage", remedy="leave it out")
     if trajectory is None and for_mesh is None:
         raise UsageError("no TRAJECTORY is given", remedy="name one of 'capture list', or a file")
-    for path in (plot, page, out):
+    for path in (plot, page, urdf, out):
         if path is not None:
             refuse_existing(path)
     session = load_trajectory(trajectory or DEFAULT, overrides=settings)
@@ -106,6 +108,8 @@ def plan(
         limits = (1.0 if until_coverage is None else until_coverage, views)
         session, words, found = _covering(session, mount, for_mesh, mesh_scale, limits, calibration, out)
     planned = plan_session(session, mount)
+    if urdf is not None:
+        export.write(urdf, session, Obstacles.of(session, mount), planned)
     text, facts = _described(session, mount, planned, plot, page)
     if coverage is not None:
         from koala3d.capture.sessions.adaptive import coverage as measured
@@ -114,7 +118,8 @@ def plan(
         known = None if calibration is None else Calibration.load(calibration)
         shares = measured.of_plan(session, mount, planned, coverage, mesh_scale, known)
         text, found = "\n".join([text, *measured.lines(shares)]), {"covered": shares[-1], "covered_after": shares}
-    console.report({**facts, **found}, as_json=as_json, text=f"{words}{text}")
+    written = f"; rig and plan for other programs: {urdf}" if urdf is not None else ""
+    console.report({**facts, **found, "urdf": urdf}, as_json=as_json, text=f"{words}{text}{written}")
 
 
 def _described(
