@@ -108,7 +108,7 @@ def _move(at: Registers) -> Body | None:
 
 
 def _announce(at: Registers, begins: list[float]) -> Body:
-    """Report each waypoint when the motion to it begins. The first report counts as a new operation, as the client's program has it."""
+    """Report each waypoint when the motion to it begins. As in the client's program, the first report is a new operation."""
     motion = at.arm.profile
     for number, begin in enumerate(begins):
         while at.arm.profile is motion and at.arm.phase(at.now) < begin:

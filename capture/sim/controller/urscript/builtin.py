@@ -1,7 +1,8 @@
 """Functions that URScript has: those of the script manual of PolyScope 5.25 and before, whatever the controller's version is.
 
 Universal Robots, "Script manual, e-Series": modules motion, internals, urmath, interfaces, IO configuration, world model; as the
-extension "URScript" for Visual Studio Code 0.1.21 lists them, with `servoc` of older manuals and the functions of interpreter mode.
+extension "URScript" for Visual Studio Code 0.1.21 lists them. `servoc` is in older manuals, and interpreter mode has a chapter of
+its own.
 """
 
 FUNCTIONS = frozenset(

@@ -153,7 +153,7 @@ def test_a_line_takes_the_tool_with_it_that_is_mounted(arm: Clients) -> None:
 
 
 def corner_of(places: np.ndarray, points: np.ndarray) -> tuple[float, float]:
-    """How near a path comes to the middle one of three points, and how far it is from their two lines elsewhere than there [m]."""
+    """How near a path comes to the middle one of three points, and how far it is from their two lines elsewhere [m]."""
     near = np.linalg.norm(places - points[1], axis=-1)
     from_lines = np.minimum(*(away_from_line(places, points[at], points[at + 1]) for at in (0, 1)))
     return float(near.min()), float(from_lines[near > 0.03].max())

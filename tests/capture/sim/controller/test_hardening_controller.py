@@ -20,7 +20,7 @@ from tests.moments import until
 
 HOME = np.array([0, -np.pi / 2, 0, -np.pi / 2, 0, 0])
 UNKNOWN = [number for number in range(1, 100) if number not in ACTIONS and number not in ANSWERS]
-"""Commands of the client that the simulation does not carry out: those that need forces or masses, and numbers that it has not."""
+"""Commands of the client that the simulation does not carry out: those of forces and masses, and unused numbers."""
 
 
 @pytest.fixture(scope="module")
