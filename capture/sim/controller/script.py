@@ -10,10 +10,10 @@ import re
 from collections.abc import Callable
 
 from koala3d.capture.model.kinematics import Joints, six_from_pose
-from koala3d.capture.sim.controller.arm import SimulatedArm
 from koala3d.capture.sim.controller.commands import paths
 from koala3d.capture.sim.controller.commands.registers import REGISTERS, Body, ProgramError, Registers
 from koala3d.capture.sim.controller.commands.table import ACTIONS, ANSWERS, EVERY_CYCLE, called
+from koala3d.capture.sim.controller.motions.arm import SimulatedArm
 from koala3d.capture.sim.controller.urscript import parser
 from koala3d.capture.sim.controller.urscript.lexer import ScriptError
 

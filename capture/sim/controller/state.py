@@ -11,8 +11,8 @@ from koala3d.capture.drivers.ur.modes import SafetyMode, is_guarded
 from koala3d.capture.drivers.ur.rtde import wire
 from koala3d.capture.model.kinematics import six_from_pose
 from koala3d.capture.sim.controller import script, signals
-from koala3d.capture.sim.controller.arm import SimulatedArm
 from koala3d.capture.sim.controller.installation import Installation
+from koala3d.capture.sim.controller.motions.arm import SimulatedArm
 
 SIMULATED_INPUTS = signals.NAMES | {"speed_slider_fraction", "speed_slider_mask"}
 """Inputs besides the registers. Writing any other one ends the program."""

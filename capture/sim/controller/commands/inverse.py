@@ -5,8 +5,8 @@ from numpy.typing import NDArray
 
 from koala3d.capture.model import kinematics
 from koala3d.capture.model.kinematics import Joints
-from koala3d.capture.sim.controller.arm import SimulatedArm
 from koala3d.capture.sim.controller.commands.registers import ProgramError
+from koala3d.capture.sim.controller.motions.arm import SimulatedArm
 from koala3d.datasets import pose
 
 

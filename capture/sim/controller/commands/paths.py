@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koala3d.capture.model.kinematics import Joints, pose_from_six
-from koala3d.capture.sim.controller.arm import SimulatedArm
 from koala3d.capture.sim.controller.commands.inverse import inverse
 from koala3d.capture.sim.controller.commands.joint_moves import joint_path
 from koala3d.capture.sim.controller.commands.registers import Action, Body, ProgramError, Registers
 from koala3d.capture.sim.controller.commands.tool_moves import tool_path
+from koala3d.capture.sim.controller.motions.arm import SimulatedArm
 from koala3d.capture.sim.controller.motions.profiles import Chain, Profile, end_of
 from koala3d.capture.sim.controller.urscript.lexer import ScriptError
 

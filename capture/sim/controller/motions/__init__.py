@@ -1,1 +1,1 @@
-"""Motions as functions of time: a profile gives the joints at any moment. It has an end, or goes on until it is stopped."""
+"""The simulated arm and its motions. A motion is a profile: the joints at any moment, to an end or until it is stopped."""

@@ -11,8 +11,8 @@ import pytest
 
 from koala3d.capture.drivers.ur.rtde import program
 from koala3d.capture.drivers.ur.rtde.wire import packet
-from koala3d.capture.sim.controller.arm import SimulatedArm
 from koala3d.capture.sim.controller.commands.table import ACTIONS, ANSWERS, CALLS
+from koala3d.capture.sim.controller.motions.arm import SimulatedArm
 from koala3d.capture.sim.controller.process import SimulatedController
 from koala3d.capture.sim.controller.script import DONE, ControlProgram, check
 from koala3d.capture.sim.controller.urscript.lexer import ScriptError

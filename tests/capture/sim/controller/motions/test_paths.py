@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from koala3d.capture.model.kinematics import UR5E, forward
-from koala3d.capture.sim.controller.arm import SimulatedArm
 from koala3d.capture.sim.controller.commands.joint_moves import joint_path
 from koala3d.capture.sim.controller.commands.registers import ProgramError
 from koala3d.capture.sim.controller.commands.tool_moves import tool_path
+from koala3d.capture.sim.controller.motions.arm import SimulatedArm
 from koala3d.capture.sim.controller.motions.followed import JointDrift, following
 from koala3d.capture.sim.controller.motions.profiles import Move, Slowing
 from koala3d.capture.sim.controller.motions.tool_paths import Drift
