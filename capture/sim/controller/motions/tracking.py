@@ -38,7 +38,7 @@ class Tool:
 
     def velocity(self, joints: Joints, speeds: Joints) -> Array:
         """(6,) velocity of the tool in the base [m/s, rad/s]."""
-        return self._sweep(joints)[1] @ speeds
+        return np.asarray(self._sweep(joints)[1] @ speeds)
 
     def speeds(self, joints: Joints, velocity: Array) -> Joints:
         """(n,) joint speeds that give the tool a velocity in the base [rad/s]."""
@@ -74,9 +74,9 @@ def _turn(wanted: Array, reached: Array) -> Array:
 
 def _solved(jacobian: Array, wanted: Array) -> Joints:
     try:
-        return np.linalg.solve(jacobian, wanted)
+        return np.asarray(np.linalg.solve(jacobian, wanted), np.float64)
     except np.linalg.LinAlgError:  # exactly at a singularity
-        return np.asarray(np.linalg.lstsq(jacobian, wanted, rcond=1e-9)[0])
+        return np.asarray(np.linalg.lstsq(jacobian, wanted, rcond=1e-9)[0], np.float64)
 
 
 class Tracked:
@@ -150,7 +150,9 @@ class Tracked:
         return end if now + 1.5 * step >= end else now + step
 
 
-def _cubic(share: float, step: float, first: Joints, last: Joints, slope: Joints, end_slope: Joints) -> tuple[Joints, ...]:
+def _cubic(
+    share: float, step: float, first: Joints, last: Joints, slope: Joints, end_slope: Joints
+) -> tuple[Joints, Joints, Joints]:
     """Angles, speeds and accelerations at a share of `step` [s] between two angles with their speeds (Hermite's cubic)."""
     way, begin, end = last - first, slope * step, end_slope * step
     square, cube = 3 * way - 2 * begin - end, begin + end - 2 * way
