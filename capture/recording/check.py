@@ -80,7 +80,8 @@ def to_take_again(findings: list[Finding]) -> list[str]:
 def _counts(recording: Recording, trajectory: Trajectory) -> list[Finding]:
     wanted = [view.name for view in trajectory.viewpoints()]
     there = Counter(frame.name for frame in recording.frames)
-    findings = [Finding("was never taken", name) for name in wanted if name not in there]
+    why = dict.fromkeys(recording.left_out, "the arm did not come to rest")
+    findings = [Finding("was never taken", name, why.get(name, "")) for name in wanted if name not in there]
     findings += [
         Finding("was taken more than once", name, f"{count} lines in {FRAMES}") for name, count in there.items() if count > 1
     ]

@@ -37,11 +37,12 @@ def arm_of(
     if arm.family != "ur":
         remedy = "'--rig sim:NAME' simulates it; only arms of Universal Robots are driven"
         raise UsageError(f"Koala has no driver for the {arm.name}", where="robot.model", remedy=remedy)
+    options: dict[str, Any] = {"limits": limits, "settling": settling, "take_over": take_over}
+    options |= {"client": robot.client, "registers": robot.registers}
+    options["deadlines"] = Deadlines(stale_s=robot.stream_deadline_s, watchdog_hz=robot.watchdog_hz)
     if controller is None:
-        return UniversalRobot(robot.host, limits=limits, settling=settling, client=robot.client, take_over=take_over)
-    patient = Deadlines(stale_s=2.0, watchdog_hz=0.5)  # rendering uses every core
-    options: dict[str, Any] = {"limits": limits, "settling": settling, "client": robot.client, "take_over": take_over}
-    return UniversalRobot(controller.host, deadlines=patient, frequency=125.0, **options)
+        return UniversalRobot(robot.host, **options)
+    return UniversalRobot(controller.host, frequency=125.0, **options)
 
 
 @contextmanager

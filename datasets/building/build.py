@@ -214,7 +214,9 @@ def incomplete_notes(recording: Recording, taken: int) -> list[str]:
     planned = recording.planned_views
     if planned is None or taken >= planned:
         return []
-    return [f"the recording is incomplete, {taken} of {planned} views: 'capture run --resume' takes the others"]
+    note = f"the recording is incomplete, {taken} of {planned} views: 'capture run --resume' takes the others"
+    unsettled = f"; the arm did not come to rest at {', '.join(recording.left_out)}" if recording.left_out else ""
+    return [note + unsettled]
 
 
 def depth_notes(frames: list[Frame]) -> list[str]:

@@ -25,6 +25,14 @@ def program_state(runtime_state: int) -> str:
     return STATES.get(runtime_state, "STOPPED")
 
 
+def runtime_state(host: str) -> str:
+    """What the program does by RTDE, in the dashboard's words; empty: RTDE does not answer."""
+    try:
+        return program_state(_sample(host)["runtime_state"])
+    except RigConnectionError:
+        return ""
+
+
 class StandIn:
     """A `Pendant` of a controller without dashboard.
 
@@ -93,18 +101,22 @@ class StandIn:
         """Nothing is open between two questions."""
 
     def _now(self) -> dict[str, Any]:
-        """A sample of this moment, over a connection of its own: one that nobody reads for an hour fills up and is closed."""
-        try:
-            stream = RtdeStream(self.host, ["safety_mode", "robot_mode", "runtime_state"], [], RATE_HZ)
-        except OSError as error:
-            raise _silent(self.host, str(error)) from None
-        try:
-            sample = stream.newest(TIMEOUT_S)
-        finally:
-            stream.close()
-        if sample is None:
-            raise _silent(self.host, "no sample within a second")
-        return sample
+        return _sample(self.host)
+
+
+def _sample(host: str) -> dict[str, Any]:
+    """A sample of this moment, over a connection of its own: one that nobody reads for an hour fills up and is closed."""
+    try:
+        stream = RtdeStream(host, ["safety_mode", "robot_mode", "runtime_state"], [], RATE_HZ)
+    except OSError as error:
+        raise _silent(host, str(error)) from None
+    try:
+        sample = stream.newest(TIMEOUT_S)
+    finally:
+        stream.close()
+    if sample is None:
+        raise _silent(host, "no sample within a second")
+    return sample
 
 
 def _silent(host: str, why: str) -> RigConnectionError:

@@ -11,7 +11,7 @@ def reply(controller: Controller, line: str) -> str:
     """Answer to one command."""
     arm, word = controller.arm, line.strip().lower()
     running = controller.program_running
-    state = "PLAYING" if running else "PAUSED" if controller.program_paused else "STOPPED"
+    state = "STOPPED" if controller.blind else "PLAYING" if running else "PAUSED" if controller.program_paused else "STOPPED"
     installed, loaded = controller.installed, "palletizing.urp" if controller.installed.program else "rtde_control.urp"
     answers = {
         "polyscopeversion": "URSoftware {}.{}.{}.{} (simulated)".format(*installed.version),

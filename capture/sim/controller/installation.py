@@ -20,4 +20,5 @@ class Installation:
     dashboard: bool = True  # PolyScope X has no dashboard server
     calibrated: bool = True  # its calibration is installed; else it says that its links are the nominal ones
     primary: bool = True  # the primary interface may be blocked in the security settings
+    fieldbus: bool = False  # PROFINET or EtherNet/IP owns the input registers 0 to 23
     latency_s: float = 0.0  # a sample arrives late by up to this much

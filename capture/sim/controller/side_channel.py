@@ -89,9 +89,9 @@ def _ignore_commands(controller: Controller, ignore: bool = True) -> None:
     controller.deaf = ignore
 
 
-def _refuse_stop(controller: Controller, refuse: bool = True) -> None:
-    """Answer the dashboard's order to stop with a failure, or obey it again."""
-    controller.unstoppable = refuse
+def _refuse_stop(controller: Controller, refuse: bool = True, blind: bool = False) -> None:
+    """Answer the dashboard's order to stop with a failure, or obey it again. `blind`: it knows nothing of uploaded programs."""
+    controller.unstoppable, controller.blind = refuse, blind
 
 
 def _install(controller: Controller, model: str = "", tcp: list[float] | None = None, **settings: Any) -> None:

@@ -13,7 +13,6 @@ from koala3d.capture.doctor.examine import examination, examine
 from koala3d.capture.doctor.lines import Verdict
 from koala3d.capture.drivers.errors import NotReady
 from koala3d.capture.drivers.ur.dashboard import Dashboard
-from koala3d.capture.drivers.ur.link import Deadlines
 from koala3d.capture.drivers.ur.robot import UniversalRobot
 from koala3d.capture.model.rig import RigDescription
 from koala3d.capture.rig.controllers import write_simulated_rig
@@ -31,8 +30,6 @@ split: null
 object: {centre: [0.4, 0.0, 0.1], size: [0.2, 0.2, 0.2]}
 camera: {exposure_us: 10000, binning: 4, width: 48, height: 48}
 """
-BUSY = Deadlines(stale_s=1.0, watchdog_hz=1.0)
-"""Tests run beside others on two cores: a pause of half a second is no fault there."""
 
 
 @pytest.fixture
@@ -86,20 +83,20 @@ def test_a_session_for_a_hanging_arm_is_refused_on_a_standing_one(simulated, tmp
 def test_a_program_that_runs_is_reported_and_left_alone_unless_taken_over(simulated, program, tmp_path):
     simulated.ask("install", program=program)
     with pytest.raises(NotReady, match=f"left alone.*{program} palletizing.*--take-over"):
-        with UniversalRobot(simulated.host, deadlines=BUSY, client="koala"):
+        with UniversalRobot(simulated.host, client="koala"):
             pass
     with pytest.raises(NotReady, match=f"program: {program} palletizing"):
         examination(tmp_path / "rec", 1, True, False)(RigDescription(), simulated.host, True)
     assert state(simulated.host) == f"{program} palletizing.urp"
     examination(tmp_path / "rec", 1, True, True)(RigDescription(), simulated.host, True)
-    with UniversalRobot(simulated.host, deadlines=BUSY, client="koala", take_over=True) as robot:
+    with UniversalRobot(simulated.host, client="koala", take_over=True) as robot:
         assert "palletizing" not in state(simulated.host)
         assert robot.description()["model"] == "UR5e"
 
 
 def test_the_model_that_is_recorded_is_the_one_that_stands_there(simulated):
     simulated.ask("install", model="ur10e")
-    with UniversalRobot(simulated.host, deadlines=BUSY, client="koala") as robot:
+    with UniversalRobot(simulated.host, client="koala") as robot:
         assert robot.description()["model"] == "UR10e"
 
 
