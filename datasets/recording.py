@@ -42,6 +42,8 @@ MANIFEST, FRAMES, IMAGES, TRUTH = "manifest.json", "frames.jsonl", "images", "tr
 RADIOMETRY = "radiometry.npz"
 CHOSEN = "chosen"
 """Part of the manifest of a session that chose its own views; see `chosen_views`."""
+IGNORED = "ignored_checks"
+"""Part of the manifest: what 'capture doctor' found to be wrong and a person ignored, by the names of its lines."""
 INCIDENTS, LEFT_OUT = "incidents", "left out"
 """Part of the manifest that lists what a session did about faults, and what it calls a view that it did not take."""
 DEPTH = "depth"

@@ -24,7 +24,7 @@ from koala3d.datasets.core import arrays, files, locks
 from koala3d.datasets.core.budgets import require_room
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.radiometry.response import Response
-from koala3d.datasets.recording import IMAGES, MANIFEST, RADIOMETRY, TRUTH, Frame, Recording
+from koala3d.datasets.recording import IGNORED, IMAGES, MANIFEST, RADIOMETRY, TRUTH, Frame, Recording
 
 BYTES = {"rgb8": (3, 3), "bayer8": (3, 3), "bayer12": (6, 2), "mono8": (1, 1), "mono12": (2, 2)}
 """Bytes of a pixel: of the developed picture, and of each exposure beside it."""
@@ -272,6 +272,9 @@ def _resumed(trajectory: Trajectory, rig: Rig, out: Path) -> Recording | None:
         remedy = f"bring {IMAGES} back (an unmounted disk?), or choose another --out"
         raise UsageError("all its images are missing", where=out, why=f"{len(lost)} views", remedy=remedy)
     old.discard(lost)
+    if not (ignored := rig.extra.get(IGNORED, {})).items() <= old.part(IGNORED).items():
+        old.manifest[IGNORED] = {**old.part(IGNORED), **ignored}
+        files.write_json(out / MANIFEST, old.manifest)
     return old
 
 

@@ -1,6 +1,7 @@
 """Stands in for the dashboard, which PolyScope X does not have: asks over RTDE, and stops the arm by a program of its own.
 
 A program that arrives at the primary interface takes the place of the one that runs. This one brings the joints to rest and ends.
+The Robot API, which PolyScope X has from 10.11 on, is asked for the rest, and is the second way to stop.
 """
 
 import contextlib
@@ -9,7 +10,7 @@ import time
 from typing import Any, Self
 
 from koala3d.capture.drivers.errors import RigConnectionError
-from koala3d.capture.drivers.ur import primary
+from koala3d.capture.drivers.ur import primary, robot_api
 from koala3d.capture.drivers.ur.modes import RobotMode, SafetyMode, name_of
 from koala3d.capture.drivers.ur.rtde.stream import RtdeStream
 
@@ -36,13 +37,13 @@ def runtime_state(host: str) -> str:
 class StandIn:
     """A `Pendant` of a controller without dashboard.
 
-    Nobody says over these interfaces whether the controller takes orders from other computers, nor the arm's serial number.
+    Without a Robot API nobody says whether the controller takes orders from other computers, nor the arm's serial number.
     """
 
     name = "primary interface"
 
     def __init__(self, host: str, version: tuple[int, ...]) -> None:
-        self.host, self._version = host, version
+        self.host, self._version, self._api = host, version, robot_api.ask(host)
 
     @classmethod
     def connect(cls, host: str) -> Self:
@@ -71,6 +72,8 @@ class StandIn:
                         return "Stopped"
         except OSError as error:
             raise _silent(self.host, str(error)) from None
+        if robot_api.stop(self.host) and self.program_state() == "STOPPED":
+            return "Stopped"
         return "its program goes on"
 
     def program_state(self) -> str:
@@ -86,12 +89,13 @@ class StandIn:
         return name_of(RobotMode, self._now()["robot_mode"])
 
     def remote_control(self) -> bool:
-        """Not asked: without it the control program does not start, and that is reported."""
-        return True
+        """As the Robot API says it. Without one the control program does not start in local control, and that is reported."""
+        api = self._api = robot_api.ask(self.host) if self._api else None
+        return api is None or api.control_mode != "LOCAL"
 
     def serial(self) -> str:
-        """It is not said here."""
-        return "unknown"
+        """As the Robot API says it."""
+        return (self._api.serial if self._api else "") or "unknown"
 
     def version(self) -> str:
         """From the primary interface."""

@@ -103,6 +103,7 @@ def _install(controller: Controller, model: str = "", tcp: list[float] | None = 
     if unknown:
         raise ValueError(f"no setting {', '.join(sorted(unknown))}")
     controller.installed = Installation(**{"up": controller.up, **settings})
+    controller.installed.version = tuple(controller.installed.version)
     controller.arm.links = load_arm(model).links if model else controller.links
     controller.arm.flange_from_tcp = pose_from_six(tcp or np.zeros(6))
 
@@ -127,6 +128,11 @@ def _reach(controller: Controller, metres: float = np.inf) -> None:
     controller.arm.reach_m = metres
 
 
+def _noise(controller: Controller, noise_rad: float | None = None) -> None:
+    """Change the noise of the encoders (standard deviation [rad]); without an argument, as it was at the start."""
+    controller.arm.noise_rad = controller.noise_rad if noise_rad is None else noise_rad
+
+
 def _speed_slider(controller: Controller, fraction: float) -> None:
     """Set the pendant's slider to a fraction of full speed, 0.01 to 1."""
     controller.arm.set_speed_slider(fraction, controller.now)
@@ -148,6 +154,7 @@ ACTIONS: dict[str, Callable[..., dict[str, Any] | None]] = {
     "safeguard": _safeguard,
     "joint_limit": _joint_limit,
     "reach": _reach,
+    "noise": _noise,
     "speed_slider": _speed_slider,
 }
 """Requests by name; see the functions for the arguments."""

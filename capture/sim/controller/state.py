@@ -30,7 +30,7 @@ class Controller:
 
     def __init__(self, arm: SimulatedArm, time_scale: float, installed: Installation, report: Callable[[str], None]) -> None:
         self.arm, self.time_scale, self.installed, self.report = arm, time_scale, installed, report
-        self.up, self.links = installed.up, arm.links  # as it was started
+        self.up, self.links, self.noise_rad = installed.up, arm.links, arm.noise_rad  # as it was started
         self.program: script.ControlProgram | None = None
         self.digital_outputs = 0
         self.silent_until, self.hung_until = 0.0, 0.0

@@ -21,7 +21,7 @@ def opened(monkeypatch):
     class Opened:
         kind = ""
 
-        def __init__(self, *options):
+        def __init__(self, *options, **more):
             names.append(self.kind)
 
     monkeypatch.setattr(koala_client, "KoalaClient", type("Koala", (Opened,), {"kind": "koala"}))
