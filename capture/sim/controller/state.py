@@ -90,6 +90,8 @@ class Controller:
 
     def upload(self, text: str) -> None:
         """Start a program, as the script port does with every one that it receives. Raises ScriptError: it is refused."""
+        if self.installed.deaf_primary:
+            return
         if (deceleration := script.stop_of(text)) is not None:
             if not self.unstoppable:
                 self.stop_program()

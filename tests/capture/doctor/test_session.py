@@ -118,6 +118,47 @@ def test_the_commands(run_inside, simulated, tmp_path: Path):
     assert good.returncode == 0 and {line["verdict"] for line in json.loads(good.stdout)["lines"]} == {"ok", "unknown"}
 
 
+def test_a_line_that_is_ignored_is_shown_and_the_recording_keeps_it(run_inside, simulated, tmp_path: Path, caplog):
+    capture = partial(run_inside, main, "capture")
+    rig, out, small = tmp_path / "rig.yaml", tmp_path / "rec", tmp_path / "small.yaml"
+    small.write_text(SESSION)
+    write_simulated_rig(rig, simulated, "shiny_ball", 3)
+    simulated.ask("install", payload_kg=0.0, up=[0.0, 0.2, 0.98])
+    both = ["--ignore", "payload", "--ignore", "mounting"]
+    done = capture("doctor", "--rig", rig, "--seconds", 0.2, *both)
+    rows = {line[:17].strip(): line[17:].split()[0] for line in done.stdout.splitlines()}
+    assert done.returncode == 0 and {name for name, verdict in rows.items() if verdict == "ignored"} == {"payload", "mounting"}
+    refused = capture("run", small, "--rig", rig, "--out", out, "--ignore", "payload")
+    assert refused.returncode == 1 and "mounting: " in refused.stderr and not out.exists()
+    taken = capture("run", small, "--rig", rig, "--out", out, *both)
+    assert taken.returncode == 0, taken.stderr
+    assert "payload: none entered; ignored" in caplog.text
+    kept = json.loads((out / "manifest.json").read_text())["ignored_checks"]
+    assert kept.keys() == {"payload", "mounting"} and kept["payload"] == "none entered"
+    assert capture("replay", out, "--rig", rig).returncode == 1
+    assert capture("replay", out, "--rig", rig, *both).returncode == 0
+
+
+def test_an_unknown_line_cannot_be_ignored(run_inside, simulated, tmp_path: Path):
+    capture = partial(run_inside, main, "capture")
+    rig = tmp_path / "rig.yaml"
+    write_simulated_rig(rig, simulated, "shiny_ball", 3)
+    refused = capture("doctor", "--rig", rig, "--seconds", 0.2, "--ignore", "pay load")
+    assert refused.returncode == 2 and "no line of 'capture doctor' is called 'pay load'" in refused.stderr
+    assert "the lines are RTDE, primary interface," in refused.stderr and "speed slider" in refused.stderr
+
+
+def test_a_resumed_session_adds_what_it_ignores(run_inside, simulated, tmp_path: Path):
+    capture = partial(run_inside, main, "capture")
+    rig, out, small = tmp_path / "rig.yaml", tmp_path / "rec", tmp_path / "small.yaml"
+    small.write_text(SESSION)
+    write_simulated_rig(rig, simulated, "shiny_ball", 3)
+    assert capture("run", small, "--rig", rig, "--out", out).returncode == 0
+    simulated.ask("install", payload_kg=0.0)
+    assert capture("run", small, "--rig", rig, "--out", out, "--resume", "--ignore", "payload").returncode == 0
+    assert json.loads((out / "manifest.json").read_text())["ignored_checks"] == {"payload": "none entered"}
+
+
 def test_a_replay_begins_with_the_doctor_and_needs_the_recorded_arm(run_inside, simulated, tmp_path: Path):
     capture = partial(run_inside, main, "capture")
     rig, out, small = tmp_path / "rig.yaml", tmp_path / "rec", tmp_path / "small.yaml"

@@ -11,14 +11,19 @@ import numpy as np
 import pytest
 
 from koala3d.capture.drivers.errors import CaptureError, MotionError, NotReady, ProtectiveStop, RigConnectionError, StopLatched
+from koala3d.capture.drivers.ur import robot_api
 from koala3d.capture.drivers.ur.pendant import connect as connect_pendant
 from koala3d.capture.drivers.ur.robot import UniversalRobot
+from koala3d.capture.drivers.ur.robot_api import RobotApi
 from koala3d.capture.drivers.ur.stand_in import program_state
 from koala3d.capture.sim.controller.process import SimulatedController
 from tests.capture.moving import FAR, UNHURRIED, in_motion, moves, stopped_on_its_way
 from tests.moments import until
 
 NEAR = np.array([0.2, -1.4, 0.9, -1.5, -1.5, 0.2])
+
+
+API = pytest.mark.skipif(os.geteuid() != 0, reason="the Robot API has port 80, which only root may open")
 
 
 @pytest.fixture
@@ -118,6 +123,51 @@ def test_without_primary_interface_it_cannot_be_reached(simulated):
     simulated.ask("install", dashboard=False, primary=False)
     with pytest.raises(RigConnectionError):
         UniversalRobot(simulated.host).__enter__()
+
+
+@API
+def test_the_robot_api_says_who_it_is_and_who_has_control(simulated):
+    simulated.ask("install", dashboard=False, version=[10, 14, 0, 0])
+    with UniversalRobot(simulated.host) as robot:
+        assert robot.description()["serial"] == "20235500001"
+    simulated.ask("install", dashboard=False, version=[10, 12, 0, 0], remote=False)
+    with pytest.raises(NotReady, match="the robot is in local control"):
+        UniversalRobot(simulated.host).__enter__()
+
+
+@API
+@pytest.mark.parametrize(
+    ("version", "known"),
+    [
+        ([10, 7, 0, 0], None),
+        ([10, 11, 0, 0], RobotApi("3.0.0", "STOPPED")),
+        ([10, 12, 0, 0], RobotApi("3.1.4", "STOPPED", "RUNNING", "NORMAL", "REMOTE", "AUTOMATIC")),
+        ([10, 14, 1, 0], RobotApi("5.0.107", "STOPPED", "RUNNING", "NORMAL", "REMOTE", "AUTOMATIC", "20235500001", "10.14.1")),
+    ],
+)
+def test_each_version_of_the_robot_api_says_what_it_knows(simulated, version, known):
+    simulated.ask("install", dashboard=False, version=version)
+    assert robot_api.ask(simulated.host) == known
+
+
+@API
+def test_the_robot_api_stops_a_program_in_remote_control_only(simulated):
+    simulated.ask("install", dashboard=False, version=[10, 14, 0, 0], program="PLAYING", remote=False)
+    assert not robot_api.stop(simulated.host) and robot_api.ask(simulated.host).program_state == "PLAYING"
+    simulated.ask("install", dashboard=False, version=[10, 14, 0, 0], program="PLAYING")
+    assert robot_api.stop(simulated.host) and robot_api.ask(simulated.host).program_state == "STOPPED"
+    assert not robot_api.stop(simulated.host)  # 409: nothing runs
+
+
+@API
+def test_the_robot_api_stops_what_the_program_at_the_primary_interface_does_not(simulated):
+    simulated.ask("install", dashboard=False, version=[10, 14, 0, 0], program="PLAYING", deaf_primary=True)
+    pendant = connect_pendant(simulated.host)
+    assert pendant.stop() == "Stopped"
+
+
+def test_nobody_answers_as_a_robot_api_where_there_is_none():
+    assert robot_api.ask("127.9.9.9") is None and not robot_api.stop("127.9.9.9")
 
 
 def test_the_arm_stops_when_the_program_is_killed(simulated):
