@@ -42,10 +42,6 @@ MANIFEST, FRAMES, IMAGES, TRUTH = "manifest.json", "frames.jsonl", "images", "tr
 RADIOMETRY = "radiometry.npz"
 CHOSEN = "chosen"
 """Part of the manifest of a session that chose its own views; see `chosen_views`."""
-IGNORED = "ignored_checks"
-"""Part of the manifest: what 'capture doctor' found to be wrong and a person ignored, by the names of its lines."""
-INCIDENTS, LEFT_OUT = "incidents", "left out"
-"""Part of the manifest that lists what a session did about faults, and what it calls a view that it did not take."""
 DEPTH = "depth"
 DEPTH_KEYS = ("unit_m", "camera", "distortion", "camera_from_depth")
 """What the manifest's camera says in its part `depth`: metres per step along z (0 is none measured), the intrinsics of the depth
@@ -281,14 +277,6 @@ class Recording:
         split = self.part("trajectory").get("split")
         counts = [split.get(name) for name in ("train", "test")] if isinstance(split, dict) else [None]
         return sum(counts) if all(isinstance(count, int) for count in counts) else None
-
-    @property
-    def left_out(self) -> list[str]:
-        """Names of the views that the session gave up because the arm did not come to rest, and that no later run has taken."""
-        entries = self.manifest.get(INCIDENTS)
-        there = {frame.name for frame in self.frames}
-        given_up = [one.get("view") for one in entries if one.get("what") == LEFT_OUT] if isinstance(entries, list) else []
-        return sorted({str(name) for name in given_up} - there)
 
     def response(self, given: Path | None = None) -> Response | None:
         """The response of the sensor: that of a file, else the recording's own; None where there is none.

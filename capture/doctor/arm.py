@@ -12,7 +12,7 @@ from koala3d.datasets.kinematics import forward
 
 OLDEST, POLYSCOPE_X = (5, 6), 10
 MOVES_RAD = 2e-5
-"""Standard deviation beyond that of noise from which an arm does not rest [rad]: that of a swing of 5e-5 rad, settling's limit."""
+"""Standard deviation beyond that of noise from which an arm does not rest [rad]: of a swing of 5e-5 rad, settling's limit."""
 OWN_M = 1e-3
 """The controller's own kinematics put the flange where it reports it; noise of the encoders makes 5 um of that [m]."""
 STANDARD_GRAVITY, GRAVITY_WITHIN = 9.81, 0.5  # [m/s^2]; tool accelerometers are off by percents

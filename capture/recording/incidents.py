@@ -8,7 +8,8 @@ from datetime import datetime
 from koala3d.capture.drivers.errors import CaptureError, ConnectionLapse, NotSettled
 from koala3d.capture.rig.rig import Rig
 from koala3d.datasets.core import files
-from koala3d.datasets.recording import INCIDENTS, LEFT_OUT, MANIFEST, Recording
+from koala3d.datasets.incidents import INCIDENTS, LEFT_OUT
+from koala3d.datasets.recording import MANIFEST, Recording
 
 log = logging.getLogger(__name__)
 CONNECTED_AGAIN = "connected again"

@@ -23,8 +23,9 @@ from koala3d.capture.rig.rig import Rig
 from koala3d.datasets.core import arrays, files, locks
 from koala3d.datasets.core.budgets import require_room
 from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.incidents import IGNORED
 from koala3d.datasets.radiometry.response import Response
-from koala3d.datasets.recording import IGNORED, IMAGES, MANIFEST, RADIOMETRY, TRUTH, Frame, Recording
+from koala3d.datasets.recording import IMAGES, MANIFEST, RADIOMETRY, TRUTH, Frame, Recording
 
 BYTES = {"rgb8": (3, 3), "bayer8": (3, 3), "bayer12": (6, 2), "mono8": (1, 1), "mono12": (2, 2)}
 """Bytes of a pixel: of the developed picture, and of each exposure beside it."""
@@ -49,8 +50,8 @@ def record(
     Pictures are written while the arm moves on. A frame counts once its image and its truth are on the disk and its line is
     written. A kill at any moment loses only the frames in flight; a fault of the rig loses no exposed frame.
 
-    A view at which the arm does not come to rest is tried twice, then left out. If the connection fails while the arm is safe, the
-    session connects again, once, and goes on with a slow move. `Recording.manifest` keeps both.
+    A view at which the arm does not come to rest is tried twice, then left out. If the connection fails while the arm is safe,
+    the session connects again, once, and goes on with a slow move. `Recording.manifest` keeps both.
 
     Args:
         out: the recording, or the folder of those of several cameras. New or empty, unless `resume`.

@@ -16,7 +16,7 @@ from koala3d.capture.rig.controllers import controller_of, device_lock, host_of
 from koala3d.capture.rig.naming import describe
 from koala3d.capture.rig.rig import Rig
 from koala3d.datasets.core.errors import UsageError
-from koala3d.datasets.recording import IGNORED
+from koala3d.datasets.incidents import IGNORED
 
 if TYPE_CHECKING:
     from koala3d.capture.sim.turntable import SimulatedTurntable

@@ -24,6 +24,7 @@ from koala3d.datasets.formats import koala
 from koala3d.datasets.formats.assemble import CAMERAS_ALONE
 from koala3d.datasets.imaging import images
 from koala3d.datasets.imaging.region import Region
+from koala3d.datasets.incidents import left_out
 from koala3d.datasets.recording import DEPTH, MANIFEST, TRUTH, Frame, Recording
 from koala3d.datasets.scene import CHANNELS, SPLITS, STATED, Scene, View
 from koala3d.datasets.structure import bounds
@@ -215,8 +216,8 @@ def incomplete_notes(recording: Recording, taken: int) -> list[str]:
     if planned is None or taken >= planned:
         return []
     note = f"the recording is incomplete, {taken} of {planned} views: 'capture run --resume' takes the others"
-    unsettled = f"; the arm did not come to rest at {', '.join(recording.left_out)}" if recording.left_out else ""
-    return [note + unsettled]
+    given_up = left_out(recording)
+    return [f"{note}; the arm did not come to rest at {', '.join(given_up)}" if given_up else note]
 
 
 def depth_notes(frames: list[Frame]) -> list[str]:

@@ -2,7 +2,8 @@
 
 The vendor's client can hang, hold the interpreter or crash when a connection breaks; the parent then kills this process. The two
 exchange JSON lines over the socket FD. This one sends {"ready": ...} or {"failed": ...}, then {"state": ...} for every new sample
-and {"accepted": number} or {"refused": number} for every motion. It receives {"do": "move" | "stop" | "watch"}. It ends with the socket.
+and {"accepted": number} or {"refused": number} for every motion. It receives {"do": "move" | "stop" | "watch"}. It ends with the
+socket.
 """
 
 import contextlib
@@ -51,7 +52,7 @@ def open_client(choice: str, host: str, frequency: float, watchdog_hz: float, re
 class Outbox:
     """Messages to the parent. None waits for it: the watchdog must be kicked while the parent is busy.
 
-    A sample that finds the way blocked is dropped, since a newer one follows. Raises TimeoutError from `put` where the parent takes
+    A sample that finds the way blocked is dropped, since a newer one follows. Raises TimeoutError from `put` if the parent takes
     nothing for `PATIENCE_S`.
     """
 

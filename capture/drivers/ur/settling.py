@@ -2,8 +2,8 @@
 
 Positions are judged, not speeds: encoders give the speed at a single moment with noise of the size of the limit, and a joint that
 swings has no speed at its turning points. Nor is their largest difference judged: of white noise it grows with the noise and the
-number of samples, so that a limit which suits one arm is never met by another. Variances of noise and of a motion add up, and what
-the noise contributes is measured.
+number of samples, so that a limit which suits one arm is never met by another. Variances of noise and of a motion add up, and
+what the noise contributes is measured.
 """
 
 from collections import deque

@@ -18,6 +18,7 @@ from koala3d.capture.recording.recorder import record
 from koala3d.capture.rig.rig import Rig
 from koala3d.datasets.building.build import incomplete_notes
 from koala3d.datasets.core import files
+from koala3d.datasets.incidents import left_out
 from koala3d.datasets.recording import Recording
 from tests.capture.recording.test_recorder import StandInCamera, StandInRobot
 
@@ -79,7 +80,7 @@ def steps(views: list[PlannedView], start: int) -> int:
 def test_a_view_that_settles_at_the_second_try_is_taken(demo_views, taken):
     robot = Shaky({1: unsettled()})
     recording = taken(robot)
-    assert names(recording) == [view.viewpoint.name for view in demo_views] and recording.left_out == []
+    assert names(recording) == [view.viewpoint.name for view in demo_views] and left_out(recording) == []
     np.testing.assert_array_equal(robot.orders[0][0], robot.orders[1][0])
 
 
@@ -88,14 +89,14 @@ def test_a_view_that_does_not_settle_is_left_out_and_taken_by_a_resumed_session(
     with caplog.at_level(logging.WARNING):
         recording = taken(robot)
     assert "view 000 is left out, --resume takes it: here: the arm does not come to rest" in caplog.text
-    assert names(recording) == [view.viewpoint.name for view in demo_views][1:] and recording.left_out == ["000"]
+    assert names(recording) == [view.viewpoint.name for view in demo_views][1:] and left_out(recording) == ["000"]
     assert [one["what"] for one in recording.manifest["incidents"]] == ["left out"]
     found = [finding.line for finding in check(recording.path)]
     assert "view 000: was never taken (the arm did not come to rest)" in found
     (note,) = incomplete_notes(recording, len(recording.frames))
     assert note.endswith("; the arm did not come to rest at 000")
     again = taken(Shaky({}), resume=True)
-    assert sorted(names(again)) == [view.viewpoint.name for view in demo_views] and again.left_out == []
+    assert sorted(names(again)) == [view.viewpoint.name for view in demo_views] and left_out(again) == []
     assert len(again.manifest["incidents"]) == 1
 
 
@@ -141,7 +142,7 @@ def test_a_session_that_chooses_its_views_goes_on_without_one(demo, demo_views, 
     for view in demo_views[:3]:
         growing.take(view.joints)
     recording = Recording.open(growing.out)
-    assert names(recording) == ["001", "002"] and recording.left_out == ["000"]
+    assert names(recording) == ["001", "002"] and left_out(recording) == ["000"]
     assert files.read_json(growing.out / "manifest.json")["incidents"][0]["view"] == "000"
     GrowingRecording(demo, rig, growing.out, "capture run").resume()
     assert sorted(names(Recording.open(growing.out))) == ["000", "001", "002"]
