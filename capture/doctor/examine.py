@@ -31,7 +31,7 @@ def examine_arm(
     folder: Path,
     seconds: float,
     needed: float = SESSION_BYTES,
-    longest_gap_s: float = 0.2,
+    longest_gap_s: float | None = None,
     rate: float | None = 1.0,
     up: int | None = None,
     now: Callable[[], datetime] = lambda: datetime.now(UTC),
@@ -41,13 +41,15 @@ def examine_arm(
     Args:
         seconds: how long samples are watched.
         up: sign of the base's z axis in the upward direction that the session needs; None: the rig file's.
-        folder, needed, longest_gap_s, rate: see `capture.doctor.computer.check`.
+        longest_gap_s: between two samples; None: the rig file's.
+        folder, needed, rate: see `capture.doctor.computer.check`.
     """
     answers = ask(host, seconds)
     if answers.dashboard is None and answers.primary is None and answers.sample is None:
         remedy = "check that it is switched on, the cable, and robot.host in the rig file"
         return [wrong(CONTROLLER, f"{host}: {answers.silent[0]}", remedy)]
     stated = rig.robot.installation
+    longest_gap_s = rig.robot.stream_deadline_s if longest_gap_s is None else longest_gap_s
     return [
         *_ports(answers, rig.robot.client),
         *arm.check(answers, rig.robot, up),

@@ -65,10 +65,8 @@ def ignoring(lines: Iterable[Line], names: Collection[str]) -> list[Line]:
     if (unknown := sorted(set(names) - known)) and CONTROLLER not in known:  # without a controller most lines are missing
         why = f"the lines are {', '.join(line.name for line in listed)}"
         raise UsageError(f"no line of 'capture doctor' is called '{unknown[0]}'", where="--ignore", why=why)
-    is_wrong = Verdict.WRONG
-    return [
-        replace(line, verdict=Verdict.IGNORED) if line.verdict is is_wrong and line.name in names else line for line in listed
-    ]
+    given = {line.name for line in listed if line.verdict is Verdict.WRONG and line.name in names}
+    return [replace(line, verdict=Verdict.IGNORED) if line.name in given else line for line in listed]
 
 
 def table(lines: Iterable[Line]) -> str:

@@ -95,6 +95,7 @@ class UniversalRobot:
             self._describe(pendant, ready["client"], ready["tcp_offset"])
             self._description["model"] = _model(self.state())
             self.noise = min(noise_of(self._link.watched(NOISE_S, NOISE_SAMPLES)), NOISIEST_RAD)
+            self._description["noise_rad"] = self.noise
         except BaseException:
             self.close()
             raise
@@ -186,7 +187,7 @@ class UniversalRobot:
         self._stopped.clear()
 
     def description(self) -> dict[str, Any]:
-        """Model, address, serial number, software and tool offset of the arm, and the client in use."""
+        """Model, address, serial number, software, tool offset and noise of the arm, and the client in use."""
         return dict(self._description)
 
     def _connected(self) -> ChildLink:

@@ -280,6 +280,29 @@ def test_the_arm_stops_when_the_whole_program_is_killed(client, slow):
     assert stopped_on_its_way(slow)
 
 
+@pytest.mark.both_clients
+@pytest.mark.parametrize(("seconds", "goes_on"), [(0.6, True), (4.0, False)])
+def test_a_program_that_is_not_served_for_a_moment_goes_on_and_one_that_hangs_is_stopped(client, slow, seconds, goes_on):
+    """The client's process keeps the watchdog content while its parent does nothing, for a second or two."""
+    code = """if True:
+        import sys
+        from koala3d.capture.drivers.ur.robot import UniversalRobot
+        with UniversalRobot(sys.argv[1], client=sys.argv[2]) as robot:
+            print("ready", flush=True)
+            robot.move_to([2.0, -1.2, 0.8, -1.5, -1.0, 0.2], speed=0.4, acceleration=1.4)
+    """
+    program = subprocess.Popen([sys.executable, "-c", code, slow.host, client], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert program.stdout is not None and program.stdout.readline() == b"ready\n"
+    until(lambda: moves(slow), "the middle of its motion")
+    program.send_signal(signal.SIGSTOP)
+    time.sleep(seconds)
+    still = rests(slow)
+    program.send_signal(signal.SIGCONT)
+    _, words = program.communicate(timeout=60)
+    assert (still, program.returncode == 0) == (not goes_on, goes_on), words
+    assert stopped_on_its_way(slow) == (not goes_on)
+
+
 def test_the_same_seed_gives_the_same_poses_bit_for_bit(connect):
     visits = []
     for time_scale in (20.0, 10.0):
