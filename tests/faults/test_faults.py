@@ -113,7 +113,7 @@ FAULTS = {
 def test_in_a_row(session: Session, name: str, times: int) -> None:
     fault = FAULTS[name]
     for repetition in range(times):
-        code, words = session.capture_until(fault.strike, after=1 + 2 * repetition, resume=repetition > 0)
+        code, words = session.capture_until(fault.strike, after=1 + repetition, resume=repetition > 0)
         took = time.monotonic() - session.happened
         assert code == 1 and words.count("error:") == 1, words
         line = next(line for line in words.splitlines() if line.startswith("error:"))
@@ -121,7 +121,7 @@ def test_in_a_row(session: Session, name: str, times: int) -> None:
         assert took < fault.deadline_s, f"{took:.1f} s from fault to message"
         until(lambda: rests(session.controller), "the arm at rest")
         assert not _incidents(session), "connected again after a stop for safety, or to a controller that is gone"
-        assert 1 + 2 * repetition <= len(Recording.open(session.out).frames) < session.count
+        assert 1 + repetition <= len(Recording.open(session.out).frames) < session.count
         fault.mend(session)
     code, words = session.capture(resume=True)
     assert code == 0, words
