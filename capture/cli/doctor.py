@@ -5,7 +5,7 @@ from typing import Annotated
 
 from typer import Exit, Option
 
-from koala3d.capture.cli.options import RigName, Settings
+from koala3d.capture.cli.options import Ignore, RigName, Settings
 from koala3d.datasets.core import console
 
 
@@ -22,28 +22,34 @@ def doctor(
         ),
     ] = None,
     settings: Settings = None,
+    ignore: Ignore = None,
     as_json: console.Json = False,
 ) -> None:
     """Ask arm, camera and computer whether a recording can begin: a table of ok, wrong and unknown, with remedies.
 
-    Nothing moves and nothing at the pendant is changed; the camera is brought to its factory settings, as before a recording.
+    Nothing moves, nothing at the pendant is changed, and every setting of the camera that is tried is put back.
 
     The exit status is 1 if a line is wrong.
     """
+    from koala3d import configs
+    from koala3d.capture.doctor import acceptance
     from koala3d.capture.doctor.examine import examine
-    from koala3d.capture.doctor.lines import Verdict, table
+    from koala3d.capture.doctor.lines import Verdict, ignoring, table
     from koala3d.capture.rig.controllers import controller_of, host_of
-    from koala3d.capture.rig.naming import describe
+    from koala3d.capture.rig.naming import describe, is_simulated
 
     description = describe(rig)
     with controller_of(rig, description) as controller:
         host = host_of(description, controller)
         lines = examine(description, host, out, simulated=controller is not None, seconds=seconds)
+    if not is_simulated(rig, description):
+        lines.append(acceptance.check(configs.find("rigs", rig)))
     if pictures is not None:
         from koala3d.capture.doctor.driver import check_driver
         from koala3d.capture.model.trajectory import load_trajectory
 
         lines += check_driver(rig, load_trajectory(pictures, overrides=settings))
+    lines = ignoring(lines, ignore or ())
     found = [
         {"name": line.name, "verdict": line.verdict, "found": line.found, "remedy": line.remedy, "blocks": line.blocks}
         for line in lines

@@ -1,13 +1,13 @@
 """The command `look`: shows the live picture and what it says."""
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
 from typer import Option
 
-from koala3d.capture.cli.options import RigName, Scene, Settings, TakeOver, TrajectoryName
+from koala3d.capture.cli.options import Ignore, RigName, Scene, Settings, TakeOver, TrajectoryName
 from koala3d.datasets.core import console
 
 ONCE, ARM = "Without the page", "With the arm"
@@ -53,6 +53,7 @@ def look(
     go: Go = None,
     calibration: Box = None,
     take_over: TakeOver = False,
+    ignore: Ignore = None,
     port: console.Port = 8080,
     settings: Settings = None,
     as_json: console.Json = False,
@@ -75,7 +76,7 @@ def look(
     part = Part.middle(width, height)
     stored = description.camera.radiometry
     with ExitStack() as stack:
-        camera, jog = stack.enter_context(_opened(rig, session, scene, arm or go is not None, take_over))
+        camera, jog = stack.enter_context(_opened(rig, session, scene, arm or go is not None, take_over, ignore or ()))
         outline = _outline(calibration, session, camera, jog)
         if jog is not None and go is not None:
             jog.go(go)
@@ -95,7 +96,9 @@ def look(
 
 
 @contextmanager
-def _opened(rig: str, session: Any, scene: str, with_arm: bool, take_over: bool) -> Iterator[tuple[Any, Any]]:
+def _opened(
+    rig: str, session: Any, scene: str, with_arm: bool, take_over: bool, ignore: Collection[str]
+) -> Iterator[tuple[Any, Any]]:
     """The camera of a rig, and what moves its arm, which is None where it is left alone."""
     from koala3d.capture.doctor.examine import examination
     from koala3d.capture.rig.cameras import camera_for
@@ -106,7 +109,7 @@ def _opened(rig: str, session: Any, scene: str, with_arm: bool, take_over: bool)
         with camera_for(rig, session, scene=scene) as camera:
             yield camera, None
         return
-    examine = examination(Path.cwd(), session.upwards, session.camera.pixel_format == "rgb8", take_over)
+    examine = examination(Path.cwd(), session.upwards, session.camera.pixel_format == "rgb8", take_over, ignore=ignore)
     options: dict[str, Any] = {"examine": examine, "take_over": take_over, "time_scale": TIME_SCALE}
     with open_rig(rig, session, scene=scene, seed=0, **options) as opened:
         yield opened.camera, Jog(opened.robot, session, opened.carrier)

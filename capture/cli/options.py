@@ -31,6 +31,10 @@ TimeScale = Annotated[
 TakeOver = Annotated[
     bool, Option("--take-over", help="End the program that runs on the robot's controller. Default: refuse to start.")
 ]
+Ignore = Annotated[
+    list[str] | None,
+    Option("--ignore", metavar="LINE", help="A line of 'capture doctor' that may be wrong; repeatable. Recordings keep it."),
+]
 CalibrationFile = Annotated[
     Path | None, Option("--calibration", metavar="CALIBRATION.json", help="Calibration file, which says what the pictures show.")
 ]

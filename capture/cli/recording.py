@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 from typer import Option
 
-from koala3d.capture.cli.options import CalibrationFile, MeshScale, Recorded, RigName, TimeScale
+from koala3d.capture.cli.options import CalibrationFile, Ignore, MeshScale, Recorded, RigName, TimeScale
 from koala3d.datasets.core import console
 
 COVERAGE = "Coverage of a known shape"
@@ -80,6 +80,7 @@ def replay(
     ] = None,
     time_scale: TimeScale = 20.0,
     out: Annotated[Path | None, Option(metavar="FILE.json", help="Also write every deviation to a new file.")] = None,
+    ignore: Ignore = None,
     as_json: console.Json = False,
 ) -> None:
     """Repeat the joint path of a recording without the camera, and report the deviation of each frame's pose.
@@ -101,7 +102,7 @@ def replay(
     links_seed = stated if isinstance(stated, int) else 0
     seed, trajectory = links_seed + 1 if seed is None else seed, recorded_trajectory(found)
     obstacles = obstacles_around(found, describe(rig))
-    examine = examination(Path.cwd(), trajectory.upwards, cameras=False)
+    examine = examination(Path.cwd(), trajectory.upwards, ignore=ignore or (), cameras=False)
     options: dict[str, Any] = {"seed": seed, "links_seed": links_seed, "time_scale": time_scale, "examine": examine}
     with console.progress("replay", len(found.frames), "views") as shown:
         with open_arm(rig, trajectory, **options) as (robot, controller):

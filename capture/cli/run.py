@@ -10,7 +10,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Option
 
-from koala3d.capture.cli.options import CalibrationFile, RigName, Scene, Seed, Settings, TakeOver, TimeScale, TrajectoryName
+from koala3d.capture.cli.options import (
+    CalibrationFile,
+    Ignore,
+    RigName,
+    Scene,
+    Seed,
+    Settings,
+    TakeOver,
+    TimeScale,
+    TrajectoryName,
+)
 from koala3d.datasets.core import console
 
 if TYPE_CHECKING:
@@ -64,6 +74,7 @@ def run(
     ] = None,
     resume: Annotated[bool, Option("--resume", help="Continue an interrupted recording.")] = False,
     take_over: TakeOver = False,
+    ignore: Ignore = None,
     view: Annotated[bool, Option("--view", help="Show the session in the browser, with a stop button.")] = False,
     port: console.Port = 8080,
     settings: Settings = None,
@@ -84,7 +95,8 @@ def run(
     goal = CoverageGoal(until_coverage, views, minutes)
     _agree(adaptive, goal, calibration, view)
     session = load_trajectory(trajectory, overrides=settings)
-    options = SessionOptions(rig, scene_for(rig, scene, session), seed, time_scale, radiometry, take_over, resume)
+    checks = tuple(ignore or ())
+    options = SessionOptions(rig, scene_for(rig, scene, session), seed, time_scale, radiometry, take_over, resume, checks)
     if not resume:
         refuse_existing(out)
     try:

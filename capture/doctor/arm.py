@@ -4,12 +4,15 @@ import numpy as np
 
 from koala3d.capture.doctor.lines import Line, compared, judged, ok, unknown, wrong
 from koala3d.capture.doctor.report import ControllerReport
+from koala3d.capture.drivers.ur.settling import FEWEST, NOISIEST_RAD, noise_of
 from koala3d.capture.model.arm import identify, load_arm
 from koala3d.capture.model.rig import RobotDescription
 from koala3d.datasets import pose
 from koala3d.datasets.kinematics import forward
 
 OLDEST, POLYSCOPE_X = (5, 6), 10
+MOVES_RAD = 2e-5
+"""Standard deviation beyond that of noise from which an arm does not rest [rad]: of a swing of 5e-5 rad, settling's limit."""
 OWN_M = 1e-3
 """The controller's own kinematics put the flange where it reports it; noise of the encoders makes 5 um of that [m]."""
 STANDARD_GRAVITY, GRAVITY_WITHIN = 9.81, 0.5  # [m/s^2]; tool accelerometers are off by percents
@@ -19,7 +22,8 @@ LEVEL_DEG = 5.0  # a base that is tilted by more was mounted so on purpose, or i
 def check(answers: ControllerReport, robot: RobotDescription, up: int | None) -> list[Line]:
     """The lines; `up` is the sign of the base's z axis in the upward direction that the session needs, None: the rig file's."""
     wanted = robot.installation.upwards if up is None else up
-    return [_model(answers, robot), _kinematics(answers), *_identity(answers, robot), _mounting(answers, wanted)]
+    lines = [_model(answers, robot), _kinematics(answers), *_identity(answers, robot), _mounting(answers, wanted)]
+    return [*lines, _noise(answers)]
 
 
 def _model(answers: ControllerReport, robot: RobotDescription) -> Line:
@@ -55,11 +59,29 @@ def _identity(answers: ControllerReport, robot: RobotDescription) -> list[Line]:
         numbers = (words.split() or [""])[0].split(".")
         version = version or tuple(int(part or 0) for part in (*numbers, "0", "0")[:3])  # type: ignore[assignment]
     else:
-        lines.append(unknown("arm serial", "only the dashboard says it", "read it at the pendant"))
+        serial = answers.api.serial if answers.api is not None else ""
+        found = compared("arm serial", serial, robot.installation.serial, "robot.installation.serial")
+        silent = unknown("arm serial", "only a dashboard or PolyScope X 10.14 says it", "read it at the pendant")
+        lines.append(found if serial else silent)
     if version is None:
         return [*lines, unknown("software", "no version was sent", "enable Primary/Secondary or Dashboard at the pendant")]
     text = ".".join(map(str, version))
     return [*lines, judged("software", version[:2] >= OLDEST, text, "update the controller to PolyScope 5.6 or newer")]
+
+
+def _noise(answers: ControllerReport) -> Line:
+    """How much the measured angles of the resting arm vary: what settling has to allow for."""
+    name, count = "noise at rest", len(answers.joints)
+    if count < FEWEST:
+        return unknown(name, f"{count} samples", "watch for longer: --seconds")
+    noise, deviation = noise_of(answers.joints), float(answers.joints.std(axis=0).max())
+    found = f"joints vary by {1e6 * noise:.1f} urad (standard deviation)"
+    if noise > NOISIEST_RAD:
+        remedy = f"look for what shakes the arm; if nothing does, write motion.settle_spread: {4 * noise:.0e} into the trajectory"
+        return wrong(name, f"{found}, more than encoders should", remedy, blocks=False)
+    if deviation > 2 * noise + MOVES_RAD:
+        return unknown(name, f"the arm moves, by {1e6 * deviation:.0f} urad", "let it rest, then ask again")
+    return ok(name, found)
 
 
 def _mounting(answers: ControllerReport, wanted: int) -> Line:

@@ -1,12 +1,13 @@
 """Checks of the computer: free disk, clock, and the network between it and the controller."""
 
+import os
 import shutil
 from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
-from koala3d.capture.doctor.lines import Line, judged, unknown
+from koala3d.capture.doctor.lines import Line, judged, unknown, wrong
 from koala3d.capture.doctor.report import ControllerReport
 from koala3d.datasets.core.budgets import readable
 
@@ -25,15 +26,22 @@ def check(
         longest_gap_s: between two samples, before the driver takes the stream for dead.
         rate: of the controller's clock; None: not known, as in a simulation.
     """
-    absolute = folder.absolute()
-    free = shutil.disk_usage(next(path for path in (absolute, *absolute.parents) if path.exists())).free
-    room = f"{readable(free)} free, {readable(needed)} needed"
     clock = f"{now:%Y-%m-%d %H:%M} UTC"
     return [
-        judged("free disk", free > needed, room, "free some space, or write to another disk"),
+        _disk(folder.absolute(), needed),
         judged("clock", now > EARLIEST, clock, "set the computer's clock; times in recordings come from it", blocks=False),
         *_network(answers, longest_gap_s, rate),
     ]
+
+
+def _disk(folder: Path, needed: float) -> Line:
+    there = next(path for path in (folder, *folder.parents) if path.exists())
+    if not (there.is_dir() and os.access(there, os.W_OK)):
+        why = "is not a folder" if not there.is_dir() else "cannot be written"
+        return wrong("free disk", f"{there} {why}", "choose another --out")
+    free = shutil.disk_usage(there).free
+    room = f"{readable(free)} free, {readable(needed)} needed"
+    return judged("free disk", free > needed, room, "free some space, or write to another disk")
 
 
 def _network(answers: ControllerReport, longest_gap_s: float, rate: float | None) -> list[Line]:

@@ -1,7 +1,7 @@
 """All checks of a rig together: what a person asks for, and what a session asks before it begins."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import ExitStack
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -9,12 +9,11 @@ from functools import partial
 from pathlib import Path
 
 from koala3d.capture.doctor import arm, camera, computer, pendant, safety
-from koala3d.capture.doctor.lines import Line, Verdict, ok, unknown, wrong
+from koala3d.capture.doctor.lines import CONTROLLER, Line, Verdict, ignoring, ok, unknown, wrong
 from koala3d.capture.doctor.report import ControllerReport, ask
 from koala3d.capture.drivers.cameras.base import InspectedCamera
 from koala3d.capture.drivers.errors import CaptureError, NotReady
 from koala3d.capture.drivers.ur.client import is_vendors
-from koala3d.capture.drivers.ur.link import Deadlines
 from koala3d.capture.model.rig import RigDescription
 from koala3d.capture.sim.camera_nodes import SimulatedNodes
 
@@ -32,7 +31,7 @@ def examine_arm(
     folder: Path,
     seconds: float,
     needed: float = SESSION_BYTES,
-    longest_gap_s: float = Deadlines().stale_s,
+    longest_gap_s: float | None = None,
     rate: float | None = 1.0,
     up: int | None = None,
     now: Callable[[], datetime] = lambda: datetime.now(UTC),
@@ -42,13 +41,15 @@ def examine_arm(
     Args:
         seconds: how long samples are watched.
         up: sign of the base's z axis in the upward direction that the session needs; None: the rig file's.
-        folder, needed, longest_gap_s, rate: see `capture.doctor.computer.check`.
+        longest_gap_s: between two samples; None: the rig file's.
+        folder, needed, rate: see `capture.doctor.computer.check`.
     """
     answers = ask(host, seconds)
     if answers.dashboard is None and answers.primary is None and answers.sample is None:
         remedy = "check that it is switched on, the cable, and robot.host in the rig file"
-        return [wrong("controller", f"{host}: {answers.silent[0]}", remedy)]
+        return [wrong(CONTROLLER, f"{host}: {answers.silent[0]}", remedy)]
     stated = rig.robot.installation
+    longest_gap_s = rig.robot.stream_deadline_s if longest_gap_s is None else longest_gap_s
     return [
         *_ports(answers, rig.robot.client),
         *arm.check(answers, rig.robot, up),
@@ -78,15 +79,15 @@ def examine(
 
     A simulated camera is librealsense's software device, or for all other drivers an ace USB over pylon's emulation.
     """
-    gap_s = Deadlines().stale_s * (SIMULATED_PATIENCE if simulated else 1)
+    gap_s = rig.robot.stream_deadline_s * (SIMULATED_PATIENCE if simulated else 1)
     rate = None if simulated else 1.0
     if rig.arm.family == "ur":
         lines = examine_arm(host, rig, folder=folder, seconds=seconds, needed=needed, longest_gap_s=gap_s, rate=rate, up=up)
     else:
         found = f"Koala has no driver for the {rig.arm.name}"
-        lines = [unknown("controller", found, "simulate it by '--rig sim:NAME'; only arms of Universal Robots are driven")]
+        lines = [unknown(CONTROLLER, found, "simulate it by '--rig sim:NAME'; only arms of Universal Robots are driven")]
     for number, (name, one) in enumerate(rig.each.items() if cameras else ()):
-        found = _examined(one, number if simulated else None, encoded=encoded)
+        found = _examined(one, number if simulated else None, encoded=encoded, cameras=len(rig.each))
         lines += [_of_camera(name, line) for line in found] if name else found
     return lines
 
@@ -96,7 +97,7 @@ def _of_camera(name: str, line: Line) -> Line:
     return replace(line, name=f"{name} {line.name}", remedy=line.remedy.replace("camera.", f"cameras.{name}."))
 
 
-def _examined(rig: RigDescription, number: int | None, *, encoded: bool) -> list[Line]:
+def _examined(rig: RigDescription, number: int | None, *, encoded: bool, cameras: int) -> list[Line]:
     """The lines of the camera, which is opened only for them; `number` of a simulated one, None of a real one."""
     from koala3d.capture.rig.cameras import seen
 
@@ -106,25 +107,36 @@ def _examined(rig: RigDescription, number: int | None, *, encoded: bool) -> list
             found = stack.enter_context(seen(rig.camera, simulated=simulated, number=number or 0))
         except CaptureError as error:
             return camera.missing(f"{error.what} ({error.why})" if error.why else error.what)
-        return _camera(found, rig, simulated=simulated, encoded=encoded)
+        return _camera(found, rig, simulated=simulated, encoded=encoded, cameras=cameras)
 
 
-def _camera(found: InspectedCamera, rig: RigDescription, *, simulated: bool, encoded: bool) -> list[Line]:
+def _camera(found: InspectedCamera, rig: RigDescription, *, simulated: bool, encoded: bool, cameras: int) -> list[Line]:
     genicam = rig.camera.model in ("basler", "genicam") or (simulated and rig.camera.model != "realsense")
     nodes = SimulatedNodes(found.nodes, "ace USB") if simulated and genicam else found.nodes
-    return camera.check(nodes, found.serial, found.facts, rig.camera, encoded=encoded, genicam=genicam)
+    shared = {"cameras": cameras, "usb_mb": camera.usbfs_memory_mb()}
+    return camera.check(nodes, found.serial, found.facts, rig.camera, encoded=encoded, genicam=genicam, **shared)
 
 
 def examination(
-    out: Path, up: int, encoded: bool = True, take_over: bool = False, *, cameras: bool = True
-) -> Callable[[RigDescription, str, bool], None]:
-    """The checks at the start of a session that writes to `out`, for `open_rig` and `open_arm`: silent if nothing is wrong."""
+    out: Path,
+    up: int,
+    encoded: bool = True,
+    take_over: bool = False,
+    *,
+    ignore: Collection[str] = (),
+    cameras: bool = True,
+) -> Callable[[RigDescription, str, bool], dict[str, str]]:
+    """The checks at the start of a session that writes to `out`, for `open_rig` and `open_arm`: silent if nothing is wrong.
 
-    def checked(rig: RigDescription, host: str, simulated: bool) -> None:
+    They return what was found to be wrong and is ignored, by the names of the lines.
+    """
+
+    def checked(rig: RigDescription, host: str, simulated: bool) -> dict[str, str]:
         # the recorder knows how much each view takes, and refuses a disk without room
         session = partial(examine, seconds=BRIEFLY_S, needed=0.0, up=up, encoded=encoded, cameras=cameras)
-        lines = session(rig, host, out, simulated=simulated)
+        lines = ignoring(session(rig, host, out, simulated=simulated), ignore)
         refuse_wrong(lines, host, take_over=take_over)
+        return {line.name: line.found for line in lines if line.verdict is Verdict.IGNORED}
 
     return checked
 
@@ -135,6 +147,9 @@ def refuse_wrong(lines: list[Line], where: str, *, take_over: bool = False) -> N
     Args:
         take_over: a program that runs is no hindrance.
     """
+    for line in lines:
+        if line.verdict is Verdict.IGNORED:
+            log.warning("%s: %s; ignored", line.name, line.found)
     bad = [line for line in lines if line.verdict is Verdict.WRONG and not (take_over and line.name == PROGRAM)]
     for line in bad:
         if not line.blocks:

@@ -1,8 +1,13 @@
 """What a check says: one line of the table."""
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass, replace
 from enum import StrEnum
+
+from koala3d.datasets.core.errors import UsageError
+
+CONTROLLER = "controller"
+"""Name of the line about a controller that does not answer at all."""
 
 
 class Verdict(StrEnum):
@@ -11,6 +16,7 @@ class Verdict(StrEnum):
     OK = "ok"
     WRONG = "wrong"
     UNKNOWN = "unknown"
+    IGNORED = "ignored"  # wrong, and a person goes on all the same
 
 
 @dataclass(frozen=True)
@@ -50,6 +56,17 @@ def compared(name: str, found: str, stated: str, key: str) -> Line:
     if not stated:
         return unknown(name, found, f"write {key}: '{found}' into the rig file, to have it compared")
     return judged(name, found == stated, found, f"the rig file states {stated} in {key}: find out which is right")
+
+
+def ignoring(lines: Iterable[Line], names: Collection[str]) -> list[Line]:
+    """The lines; those of `names` that are wrong are called ignored. Raises UsageError: no line has one of the names."""
+    listed = list(lines)
+    known = {line.name for line in listed}
+    if (unknown := sorted(set(names) - known)) and CONTROLLER not in known:  # without a controller most lines are missing
+        why = f"the lines are {', '.join(line.name for line in listed)}"
+        raise UsageError(f"no line of 'capture doctor' is called '{unknown[0]}'", where="--ignore", why=why)
+    given = {line.name for line in listed if line.verdict is Verdict.WRONG and line.name in names}
+    return [replace(line, verdict=Verdict.IGNORED) if line.name in given else line for line in listed]
 
 
 def table(lines: Iterable[Line]) -> str:

@@ -6,6 +6,8 @@ import numpy as np
 
 from koala3d.capture.doctor.lines import Line, judged, ok, unknown, wrong
 from koala3d.capture.doctor.report import ControllerReport
+from koala3d.capture.drivers.ur.pendant import BUSY
+from koala3d.capture.drivers.ur.robot_api import FIRST_VERSION, RobotApi
 from koala3d.capture.drivers.ur.stand_in import program_state
 from koala3d.capture.model.rig import InstallationDescription
 
@@ -22,27 +24,42 @@ def check(answers: ControllerReport, stated: InstallationDescription) -> list[Li
 
 def _control(answers: ControllerReport) -> list[Line]:
     if (replies := answers.dashboard) is None:
-        lines = [
-            _missing_dashboard(answers),
-            unknown("remote control", "only a dashboard says it", "see the top right of the pendant"),
-        ]
-        program = "STOPPED" if answers.sample is None else program_state(answers.sample["runtime_state"])
+        lines = [_missing_dashboard(answers), *_modes(answers.api)]
+        programs = ["STOPPED" if answers.sample is None else program_state(answers.sample["runtime_state"])]
+        programs += [answers.api.program_state] if answers.api is not None else []
+        program = next((one for one in programs if one.startswith(BUSY)), "STOPPED")
     else:
         lines = [ok("dashboard", f"{answers.host} answers")]
-        remote = replies["is in remote control"].strip().lower() == "true"
-        found = "in remote control" if remote else "in local control"
-        lines.append(judged("remote control", remote, found, "choose remote control at the pendant, top right"))
+        lines.append(_remote(replies["is in remote control"].strip().lower() == "true"))
         program = replies["programState"]
-    running = program.split()[0] in ("PLAYING", "PAUSED")
+    running = program.startswith(BUSY)
     remedy = "wait for it, stop it at the pendant, or let 'capture run --take-over' end it"
     lines.append(judged("program", not running, program if running else "none runs", remedy))
     return lines
 
 
+def _remote(is_remote: bool) -> Line:
+    found = "in remote control" if is_remote else "in local control"
+    return judged("remote control", is_remote, found, "choose remote control at the pendant, top right")
+
+
+def _modes(api: RobotApi | None) -> list[Line]:
+    """Who has control, and the operational mode, as the Robot API says them."""
+    if api is None or not api.control_mode:
+        return [unknown("remote control", "only a dashboard or PolyScope X 10.12 says it", "see the top right of the pendant")]
+    found, remedy = f"{api.operational_mode.lower()} mode", "choose the automatic mode: in the manual one programs run slowly"
+    return [_remote(api.control_mode == "REMOTE"), judged("operational mode", api.operational_mode != "MANUAL", found, remedy)]
+
+
 def _missing_dashboard(answers: ControllerReport) -> Line:
     version = answers.primary.version if answers.primary is not None else None
+    if answers.api is not None:
+        return ok("dashboard", f"PolyScope X has none: its Robot API answers (version {answers.api.version})")
+    if version is not None and FIRST_VERSION <= version:
+        return unknown("dashboard", "the Robot API of PolyScope X does not answer", "open its service in the security settings")
     if version is not None and version[0] >= POLYSCOPE_X:
-        return ok("dashboard", "PolyScope X has none: RTDE and the primary interface stand in, client koala")
+        found = "PolyScope X has none, and no Robot API before 10.11: RTDE and the primary interface stand in, client koala"
+        return ok("dashboard", found)
     remedy = "enable it under Settings > Security > Services; PolyScope X has none, but says its version on the primary interface"
     return wrong("dashboard", f"no dashboard server at {answers.host}", remedy)
 

@@ -11,8 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koala3d.capture.drivers.errors import RigConnectionError
+from koala3d.capture.drivers.ur import robot_api
 from koala3d.capture.drivers.ur.dashboard import Dashboard
 from koala3d.capture.drivers.ur.primary import Primary, listen
+from koala3d.capture.drivers.ur.robot_api import RobotApi
 from koala3d.capture.drivers.ur.rtde.stream import RtdeStream
 from koala3d.capture.model.kinematics import pose_from_six
 from koala3d.datasets import pose
@@ -37,6 +39,10 @@ class ControllerReport:
     """The newest values of `OUTPUTS`."""
     arrivals: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
     """(n, 2) time of each sample on the host's monotonic clock and on the controller's [s]."""
+    api: RobotApi | None = None
+    """What the Robot API of PolyScope X says; not asked beside a dashboard."""
+    joints: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 6)))
+    """(n, 6) measured angles of the samples [rad]."""
     silent: tuple[str, ...] = ()
     """Why a part is missing."""
 
@@ -60,8 +66,9 @@ def ask(host: str, seconds: float) -> ControllerReport:
             return None
 
     replies, primary = tried(_dashboard, host), tried(listen, host)
-    sample, arrivals = tried(_samples, host, seconds) or (None, np.zeros((0, 2)))
-    return ControllerReport(host, replies, primary, sample, arrivals, tuple(silent))
+    api = robot_api.ask(host) if replies is None else None
+    sample, arrivals, joints = tried(_samples, host, seconds) or (None, np.zeros((0, 2)), np.zeros((0, 6)))
+    return ControllerReport(host, replies, primary, sample, arrivals, api, joints, tuple(silent))
 
 
 def _dashboard(host: str) -> dict[str, str]:
@@ -72,19 +79,20 @@ def _dashboard(host: str) -> dict[str, str]:
         dashboard.close()
 
 
-def _samples(host: str, seconds: float) -> tuple[dict[str, Any], NDArray[np.float64]]:
+def _samples(host: str, seconds: float) -> tuple[dict[str, Any], NDArray[np.float64], NDArray[np.float64]]:
     stream = RtdeStream(host, OUTPUTS, [], RATE_HZ)
     try:
         newest = stream.newest(SAMPLE_S)
         if newest is None:
             raise TimeoutError(f"RTDE sends no samples within {SAMPLE_S:.0f} s")
         begun = time.monotonic()
-        arrivals = [(begun, newest["timestamp"])]
+        arrivals, joints = [(begun, newest["timestamp"])], [newest["actual_q"]]
         while (left := begun + seconds - time.monotonic()) > 0 and stream.connected:
             if (sample := stream.newest(left)) is not None:
                 newest = sample
                 arrivals.append((time.monotonic(), sample["timestamp"]))
+                joints.append(sample["actual_q"])
         arrivals.append((time.monotonic(), newest["timestamp"]))  # the gap that is still open
-        return newest, np.array(arrivals)
+        return newest, np.array(arrivals), np.array(joints)
     finally:
         stream.close()

@@ -19,7 +19,7 @@ def _modes(answers: ControllerReport) -> list[Line]:
     reduced = safety == SafetyMode.REDUCED.name
     return [
         _power(int(answers.sample["robot_mode"]), safety),
-        *_stops(safety, (answers.dashboard or {}).get("safetystatus", "").partition(":")[2].strip()),
+        *_stops(safety, _status(answers)),
         judged(
             "reduced mode",
             not reduced,
@@ -31,6 +31,13 @@ def _modes(answers: ControllerReport) -> list[Line]:
     ]
 
 
+def _status(answers: ControllerReport) -> str:
+    """What dashboard or Robot API call the safety mode; empty without them."""
+    if answers.api is not None:
+        return answers.api.safety_mode
+    return (answers.dashboard or {}).get("safetystatus", "").partition(":")[2].strip()
+
+
 def _power(mode: int, safety: str) -> Line:
     found = "on" if mode == RobotMode.RUNNING else _words(name_of(RobotMode, mode))
     if mode != RobotMode.RUNNING and not may_move(safety):
@@ -39,7 +46,7 @@ def _power(mode: int, safety: str) -> Line:
 
 
 def _stops(safety: str, status: str) -> list[Line]:
-    """Lines of the mode and of safeguards. `status`: what the dashboard says of the mode; empty without one."""
+    """Lines of the mode and of safeguards. `status`: what the pendant says of the mode; empty where it does not."""
     names, remedy = ("safety mode", "safeguard stop"), "find the cause, then release it at the pendant"
     if is_guarded(safety):
         first = unknown(names[0], "a safeguard holds the arm", "mend that first")
@@ -47,7 +54,7 @@ def _stops(safety: str, status: str) -> list[Line]:
     if may_move(safety) and (may_move(status) or not status):
         return [ok(names[0], "normal"), ok(names[1], "closed")]
     found = _words(safety) if safety in SafetyMode.__members__ else f"number {safety}, which Koala does not know"
-    found += f"; the dashboard says {_words(status)}" if status and status != safety else ""
+    found += f"; the pendant says {_words(status)}" if status and status != safety else ""
     return [wrong(names[0], found, remedy), unknown(names[1], "hidden by the safety mode", "mend that first")]
 
 

@@ -14,6 +14,13 @@ class RigConnectionError(CaptureError):
     """A device could not be reached, or was lost. Names the device, its address and what was found there."""
 
 
+class ConnectionLapse(RigConnectionError):
+    """The connection to an arm failed while it was safe: it stopped when it was ordered to, and nothing stopped it for safety.
+
+    Entering it again may mend that.
+    """
+
+
 class NotReady(CaptureError):
     """The robot is reachable but cannot move: powered off, in a safety stop, or not in remote control."""
 
@@ -24,6 +31,10 @@ class ProtectiveStop(CaptureError):
 
 class MotionError(CaptureError):
     """A motion did not end at the expected place or time. The arm has been stopped."""
+
+
+class NotSettled(MotionError):
+    """The arm is at its target and does not come to rest. It is still connected, and may be moved again."""
 
 
 class StopLatched(MotionError):

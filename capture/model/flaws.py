@@ -1,6 +1,6 @@
-"""What real sensors and lamps do besides: black level, vignetting, uneven and hot pixels, unbalanced channels, flicker.
+"""What real rigs do besides: black level, vignetting, uneven and hot pixels, unbalanced channels, flicker, noise of encoders.
 
-All are off by default. `configs/rigs/sim_flawed.yaml` switches them on. The description and the seed are the truth.
+All but the last are off by default. `configs/rigs/sim_flawed.yaml` switches them on. The description and the seed are the truth.
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ REFERENCE_US = 10_000.0
 
 
 class Flaws(Schema):
-    """Flaws of the simulated sensor, lens and lamps."""
+    """Flaws of the simulated sensor, lens, lamps and arm."""
 
     black_level: float = Field(default=0.0, ge=0, lt=0.5, description="value without light [share of the largest value]")
     vignetting: float = Field(default=0.0, ge=0, lt=1, description="share of the light that is lost in the sensor's corners")
@@ -31,6 +31,9 @@ class Flaws(Schema):
         default=(1.0, 1.0, 1.0), description="response to red, green and blue light; a grey card is grey where they are equal"
     )
     flicker_hz: float = Field(default=100.0, gt=0, description="frequency of the lamps' light: twice that of the mains [Hz]")
+    encoder_noise_rad: float = Field(
+        default=4e-6, ge=0, le=1e-3, description="standard deviation of the angles that the arm's encoders measure [rad]"
+    )
     flicker: float = Field(default=0.0, ge=0, lt=1, description="amplitude of the lamps' flicker, relative to their light")
 
 

@@ -50,6 +50,17 @@ class RobotDescription(Schema):
         default="auto",
         description="what speaks to the controller: ur_rtde, the vendor's; koala, our own; auto: ur_rtde if installed",
     )
+    registers: Literal["lower", "upper"] = Field(
+        default="lower",
+        description="input registers that ur_rtde takes: lower, 0 to 23, or upper, 24 to 47, if a fieldbus owns the lower ones; "
+        "koala always takes the upper ones",
+    )
+    stream_deadline_s: float = Field(
+        default=0.2, ge=0.02, le=5, description="the arm is stopped if the controller sends no sample for this long [s]"
+    )
+    watchdog_hz: float = Field(
+        default=5.0, ge=0.2, le=50, description="the controller ends the program if it hears nothing for a period of this [Hz]"
+    )
     max_joint_speed: float = Field(default=1.05, gt=0, le=np.pi, description="limit of every joint [rad/s]")
     max_joint_acceleration: float = Field(default=1.4, gt=0, le=10, description="limit of every joint [rad/s^2]")
     cable: Cable | None = Field(default=None, description="how far the camera's cable may be wound up; null: no limit")
@@ -115,7 +126,7 @@ class SimulationDescription(Schema):
     )
     scene: str = Field(default="gold_head", description="scene in front of the camera")
     seed: int = Field(default=0, ge=0, description="random seed of a running controller; else --seed counts")
-    flaws: Flaws = Field(default_factory=Flaws, description="flaws of sensor, lens and lamps")
+    flaws: Flaws = Field(default_factory=Flaws, description="flaws of sensor, lens, lamps and arm")
 
 
 class RigDescription(Schema):

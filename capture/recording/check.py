@@ -15,6 +15,7 @@ from koala3d.datasets import pose
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import KoalaError
 from koala3d.datasets.imaging import images
+from koala3d.datasets.incidents import left_out
 from koala3d.datasets.recording import FRAMES, Frame, Recording
 
 OVER_SHARE, UNDER_LIGHT = 0.15, 0.03
@@ -80,7 +81,8 @@ def to_take_again(findings: list[Finding]) -> list[str]:
 def _counts(recording: Recording, trajectory: Trajectory) -> list[Finding]:
     wanted = [view.name for view in trajectory.viewpoints()]
     there = Counter(frame.name for frame in recording.frames)
-    findings = [Finding("was never taken", name) for name in wanted if name not in there]
+    why = dict.fromkeys(left_out(recording), "the arm did not come to rest")
+    findings = [Finding("was never taken", name, why.get(name, "")) for name in wanted if name not in there]
     findings += [
         Finding("was taken more than once", name, f"{count} lines in {FRAMES}") for name, count in there.items() if count > 1
     ]

@@ -18,6 +18,7 @@ from koala3d.capture.recording.recorder import record
 from koala3d.capture.rig.rig import Rig
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.incidents import left_out
 from koala3d.datasets.recording import MANIFEST, Recording
 
 Array = NDArray[np.float64]
@@ -52,6 +53,7 @@ class GrowingRecording:
         self.views: list[GrownView] = []
         self.obstacles = Obstacles.of(trajectory, rig.carrier)
         self._resumed = False
+        self._left_out: set[str] = set()  # by this run; a resumed one tries them again
 
     @property
     def begun(self) -> bool:
@@ -110,7 +112,8 @@ class GrowingRecording:
 
     def _record(self, rig: Rig, *, resume: bool) -> None:
         grown = self._grown()
-        record(grown, rig, self.out, resume=resume or self._resumed, planned=self._planned(grown, resume))
+        planned = [one for one in self._planned(grown, resume) if one.viewpoint.name not in self._left_out]
+        self._left_out.update(left_out(record(grown, rig, self.out, resume=resume or self._resumed, planned=planned)))
 
     def _planned(self, grown: Trajectory, resume: bool) -> list[PlannedView]:
         """All views. The recorder finds a path to the first that is missing; those to others that follow it are found here."""

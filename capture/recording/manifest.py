@@ -5,7 +5,7 @@ from importlib.metadata import version
 from typing import Any
 
 from koala3d.capture.model.carrier import Carrier
-from koala3d.capture.model.rig import InstallationDescription, RigDescription, recorded_rig
+from koala3d.capture.model.rig import InstallationDescription, RigDescription, RobotDescription, recorded_rig
 from koala3d.capture.model.trajectory import Trajectory, recorded_trajectory
 from koala3d.capture.rig.rig import Rig
 from koala3d.datasets.core.errors import UsageError
@@ -90,6 +90,7 @@ def _anywhere(rig: RigDescription) -> RigDescription:
 
     The measured response is left out too: the recording keeps its own."""
     plain: dict[str, Any] = {"host": "anywhere", "client": "auto", "installation": InstallationDescription()}
+    plain |= {key: RobotDescription.model_fields[key].default for key in ("registers", "stream_deadline_s", "watchdog_hz")}
     blank = {"lens": "", "firmware": "", "radiometry": ""}
     robot, camera = rig.robot.model_copy(update=plain), rig.camera.model_copy(update=blank)
     cameras = {name: one.model_copy(update=blank) for name, one in rig.cameras.items()}

@@ -5,21 +5,25 @@ import hashlib
 import shutil
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from koala3d.capture.drivers.errors import CaptureError, MotionError, naming
+from koala3d.capture.drivers.errors import CaptureError, ConnectionLapse, MotionError, NotSettled, naming
 from koala3d.capture.drivers.measurements import Image, Pixels, RobotState
 from koala3d.capture.model.trajectory import CameraSettings, Motion, Trajectory
 from koala3d.capture.planning import Obstacles, PlannedView, connect, plan
+from koala3d.capture.recording.incidents import CAREFUL_RAD_S, Incidents
 from koala3d.capture.recording.manifest import manifest_of, require_same_session
 from koala3d.capture.recording.writer import Advance, TakenView, Writer
 from koala3d.capture.rig.rig import Rig
 from koala3d.datasets.core import arrays, files, locks
 from koala3d.datasets.core.budgets import require_room
 from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.incidents import IGNORED
 from koala3d.datasets.radiometry.response import Response
 from koala3d.datasets.recording import IMAGES, MANIFEST, RADIOMETRY, TRUTH, Frame, Recording
 
@@ -45,6 +49,9 @@ def record(
 
     Pictures are written while the arm moves on. A frame counts once its image and its truth are on the disk and its line is
     written. A kill at any moment loses only the frames in flight; a fault of the rig loses no exposed frame.
+
+    A view at which the arm does not come to rest is tried twice, then left out. If the connection fails while the arm is safe,
+    the session connects again, once, and goes on with a slow move. `Recording.manifest` keeps both.
 
     Args:
         out: the recording, or the folder of those of several cameras. New or empty, unless `resume`.
@@ -78,7 +85,7 @@ def _record(
     obstacles = Obstacles.of(trajectory, rig.carrier)
     taken = _taken(recordings)
     numbers = {view.name: number for number, view in enumerate(trajectory.viewpoints())}
-    motion = trajectory.motion
+    visits = _Visits(trajectory, rig, recordings, obstacles, Incidents(recordings, rig))
     previous: str | None = None  # the view at which the arm stands
     with Writer(recordings, advance) as writer:
         for index, view in enumerate(planned):
@@ -87,15 +94,59 @@ def _record(
                 advance(name)
                 continue
             follows = index > 0 and previous == planned[index - 1].viewpoint.name
-            path = view.path if follows else connect(rig.robot.state().joints, view.joints, obstacles, where=f"view {name}")
             stays = follows and np.array_equal(view.joints, planned[index - 1].joints)
-            for joints in [] if stays else path:
-                rig.robot.move_to(joints, speed=motion.speed, acceleration=motion.acceleration)
-            _turn(rig, view)
-            arrived_ns = time.monotonic_ns()
-            previous = name
-            writer.put(_expose(recordings, rig, numbers[name], view, arrived_ns, trajectory))
+            shown = visits.taken(view, numbers[name], [] if stays else view.path if follows else None)
+            previous = None if shown is None else name
+            if shown is not None:
+                writer.put(shown)
     return recordings[0]
+
+
+@dataclass(frozen=True)
+class _Visits:
+    """Goes to views and takes them."""
+
+    trajectory: Trajectory
+    rig: Rig
+    recordings: list[Recording]
+    obstacles: Obstacles
+    incidents: Incidents
+
+    def taken(
+        self, view: PlannedView, number: int, path: list[NDArray[np.float64]] | None, *, first_speed: float = np.inf
+    ) -> TakenView | None:
+        """The pictures of a view; None: it is left out.
+
+        Args:
+            path: joint angles on the way [rad], the view's own at the end; None: it is planned from where the arm is.
+            first_speed: limit for the first move [rad/s].
+        """
+        name = view.viewpoint.name
+        try:
+            if path is None:
+                path = connect(self.rig.robot.state().joints, view.joints, self.obstacles, where=f"view {name}")
+            self._go(path, first_speed)
+            _turn(self.rig, view)
+            return _expose(self.recordings, self.rig, number, view, time.monotonic_ns(), self.trajectory)
+        except NotSettled as error:
+            self.incidents.leave_out(name, error)
+            return None
+        except ConnectionLapse as lapse:
+            self.incidents.connect_again(name, lapse)
+        return self.taken(view, number, None, first_speed=CAREFUL_RAD_S)
+
+    def _go(self, path: list[NDArray[np.float64]], first_speed: float) -> None:
+        """Move along a path. An arm that does not come to rest is sent to the same place once more."""
+        motion, robot, is_second = self.trajectory.motion, self.rig.robot, False
+        for number, joints in enumerate(path):
+            speed = motion.speed if number else min(motion.speed, first_speed)
+            try:
+                robot.move_to(joints, speed=speed, acceleration=motion.acceleration)
+            except NotSettled:
+                if is_second:
+                    raise
+                is_second = True
+                robot.move_to(joints, speed=speed, acceleration=motion.acceleration)
 
 
 def _taken(recordings: Sequence[Recording | None]) -> set[str]:
@@ -222,6 +273,9 @@ def _resumed(trajectory: Trajectory, rig: Rig, out: Path) -> Recording | None:
         remedy = f"bring {IMAGES} back (an unmounted disk?), or choose another --out"
         raise UsageError("all its images are missing", where=out, why=f"{len(lost)} views", remedy=remedy)
     old.discard(lost)
+    if not (ignored := rig.extra.get(IGNORED, {})).items() <= old.part(IGNORED).items():
+        old.manifest[IGNORED] = {**old.part(IGNORED), **ignored}
+        files.write_json(out / MANIFEST, old.manifest)
     return old
 
 

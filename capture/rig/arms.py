@@ -1,6 +1,6 @@
 """Opens the arm of a rig."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -14,8 +14,13 @@ from koala3d.datasets.core.errors import UsageError
 if TYPE_CHECKING:
     from koala3d.capture.rig.controllers import Simulation
 
-Examination = Callable[[RigDescription, str, bool], None]
-"""Gets the rig, the address of its controller, and whether it is simulated."""
+Examination = Callable[[RigDescription, str, bool], Mapping[str, str]]
+"""Gets the rig, the address of its controller, and whether it is simulated; returns what is wrong and ignored."""
+
+
+def unexamined(rig: RigDescription, host: str, simulated: bool) -> Mapping[str, str]:
+    """The examination that finds nothing."""
+    return {}
 
 
 def arm_of(
@@ -37,11 +42,12 @@ def arm_of(
     if arm.family != "ur":
         remedy = "'--rig sim:NAME' simulates it; only arms of Universal Robots are driven"
         raise UsageError(f"Koala has no driver for the {arm.name}", where="robot.model", remedy=remedy)
+    options: dict[str, Any] = {"limits": limits, "settling": settling, "take_over": take_over}
+    options |= {"client": robot.client, "registers": robot.registers}
+    options["deadlines"] = Deadlines(stale_s=robot.stream_deadline_s, watchdog_hz=robot.watchdog_hz)
     if controller is None:
-        return UniversalRobot(robot.host, limits=limits, settling=settling, client=robot.client, take_over=take_over)
-    patient = Deadlines(stale_s=2.0, watchdog_hz=0.5)  # rendering uses every core
-    options: dict[str, Any] = {"limits": limits, "settling": settling, "client": robot.client, "take_over": take_over}
-    return UniversalRobot(controller.host, deadlines=patient, frequency=125.0, **options)
+        return UniversalRobot(robot.host, **options)
+    return UniversalRobot(controller.host, frequency=125.0, **options)
 
 
 @contextmanager
@@ -52,7 +58,7 @@ def open_arm(
     seed: int,
     links_seed: int,
     time_scale: float,
-    examine: Examination = lambda description, host, simulated: None,
+    examine: Examination = unexamined,
 ) -> Iterator[tuple[Robot, "Simulation | None"]]:
     """Connect only the arm. The second value is the simulated controller, or None for a real arm.
 

@@ -5,6 +5,7 @@ from contextlib import AbstractContextManager, closing, contextmanager, nullcont
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from koala3d.capture.model.flaws import Flaws
 from koala3d.capture.model.rig import RigDescription
 from koala3d.capture.rig.naming import is_started
 from koala3d.datasets.core import locks
@@ -37,7 +38,9 @@ def controller_of(
     if started_here and description.arm.family == "ur":
         from koala3d.capture.sim.controller.process import SimulatedController
 
-        with SimulatedController.as_built(**options, model=description.robot.model) as started:
+        flaws = Flaws() if description.simulation is None else description.simulation.flaws
+        noise_rad, model = flaws.encoder_noise_rad, description.robot.model
+        with SimulatedController.as_built(**options, model=model, noise_rad=noise_rad) as started:
             yield started
     elif started_here:
         from koala3d.capture.sim.kinematic_arm import KinematicArm

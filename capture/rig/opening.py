@@ -4,18 +4,19 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from koala3d.capture.drivers.errors import naming
 from koala3d.capture.drivers.protocols import Turntable
 from koala3d.capture.model.trajectory import Trajectory
 from koala3d.capture.model.turntable import TurntableDescription, required
-from koala3d.capture.rig.arms import Examination, arm_of
+from koala3d.capture.rig.arms import Examination, arm_of, unexamined
 from koala3d.capture.rig.cameras import camera_in
 from koala3d.capture.rig.controllers import controller_of, device_lock, host_of
 from koala3d.capture.rig.naming import describe
 from koala3d.capture.rig.rig import Rig
 from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.incidents import IGNORED
 
 if TYPE_CHECKING:
     from koala3d.capture.sim.turntable import SimulatedTurntable
@@ -29,7 +30,7 @@ def open_rig(
     scene: str,
     seed: int,
     time_scale: float,
-    examine: Examination = lambda description, host, simulated: None,
+    examine: Examination = unexamined,
     take_over: bool = False,
     radiometry: Path | None = None,
 ) -> Iterator[Rig]:
@@ -40,7 +41,7 @@ def open_rig(
         scene: what the simulated camera looks at.
         seed: of everything random in a simulation that is started here. A running simulation has its own seed.
         time_scale: speed of a simulated arm that is started here, relative to real time.
-        examine: called before anything is connected; may refuse by raising.
+        examine: called before anything is connected; may refuse by raising. What it ignores is for the manifest.
         take_over: end a program that runs on the controller; else the arm is left to it.
         radiometry: measured response of the camera, in place of the one that the rig file names.
 
@@ -57,7 +58,7 @@ def open_rig(
     table = required(description.turntable, trajectory.name) if trajectory.turns else None
     hangs = trajectory.upwards < 0
     with controller_of(name, description, hangs=hangs, seed=seed, time_scale=time_scale) as controller:
-        examine(description, host_of(description, controller), controller is not None)
+        ignored = dict(examine(description, host_of(description, controller), controller is not None))
         simulation = description.simulation
         running = simulation is not None and simulation.side_port is not None
         seed = simulation.seed if simulation is not None and running else seed
@@ -74,7 +75,8 @@ def open_rig(
             robot = stack.enter_context(arm_of(description, trajectory, controller, take_over))
             driven = table if turned is None else turned.reached
             turntable = stack.enter_context(_turntable(driven))  # last, since it may turn to find its zero
-            extra = {} if controller is None else {"scene": scene, "seed": seed}
+            extra: dict[str, Any] = {} if controller is None else {"scene": scene, "seed": seed}
+            extra |= {IGNORED: ignored} if ignored else {}
             rigs = {
                 camera_name: Rig(robot, camera, one, name, truth, extra, turntable)
                 for camera_name, (camera, one, truth) in opened.items()

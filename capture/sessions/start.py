@@ -21,19 +21,21 @@ class SessionOptions:
     radiometry: Path | None = None
     take_over: bool = False
     resume: bool = False
+    ignore: tuple[str, ...] = ()
 
     def opened(self, trajectory: "Trajectory", out: Path) -> "AbstractContextManager[Rig]":
         """The rig of a session that writes to `out`. Entering raises CaptureError where it is not ready."""
         from koala3d.capture.doctor.examine import examination
         from koala3d.capture.rig.opening import open_rig
 
+        encoded = trajectory.camera.pixel_format == "rgb8"
         return open_rig(
             self.rig,
             trajectory,
             scene=self.scene,
             seed=self.seed,
             time_scale=self.time_scale,
-            examine=examination(out, trajectory.upwards, trajectory.camera.pixel_format == "rgb8", self.take_over),
+            examine=examination(out, trajectory.upwards, encoded, self.take_over, ignore=self.ignore),
             take_over=self.take_over,
             radiometry=self.radiometry,
         )

@@ -10,7 +10,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.capture.drivers.errors import MotionError, RigConnectionError, StopLatched
+from koala3d.capture.drivers.errors import MotionError, NotSettled, RigConnectionError, StopLatched
 from koala3d.capture.drivers.measurements import RobotState
 from koala3d.capture.drivers.safety import Limits
 from koala3d.capture.drivers.ur.settling import Settling, Window
@@ -97,6 +97,8 @@ class KinematicArm:
             while self._moving():
                 self._wait()
             self._settle()
+        except NotSettled:
+            raise
         except BaseException:
             self.stop()
             raise
@@ -144,9 +146,9 @@ class KinematicArm:
         while True:
             state = self.state()
             window.add(state.robot_time_s, state.joints)
-            if window.full and window.spread <= self.settling.spread:
+            if window.rests(self.settling.spread, self._arm.noise_rad):
                 return
             if time.monotonic() - begun > self.settling.timeout_s + self.settling.time_s:
-                why, remedy = f"its joints vary by {window.spread:.1e} rad", "raise motion.settle_spread"
-                raise MotionError("the arm does not come to rest", where=self.model.name, why=why, remedy=remedy)
+                why, remedy = f"its joints vary by {window.deviation:.1e} rad", "raise motion.settle_spread"
+                raise NotSettled("the arm does not come to rest", where=self.model.name, why=why, remedy=remedy)
             self._wait()

@@ -24,6 +24,7 @@ from koala3d.datasets.formats import koala
 from koala3d.datasets.formats.assemble import CAMERAS_ALONE
 from koala3d.datasets.imaging import images
 from koala3d.datasets.imaging.region import Region
+from koala3d.datasets.incidents import left_out
 from koala3d.datasets.recording import DEPTH, MANIFEST, TRUTH, Frame, Recording
 from koala3d.datasets.scene import CHANNELS, SPLITS, STATED, Scene, View
 from koala3d.datasets.structure import bounds
@@ -214,7 +215,9 @@ def incomplete_notes(recording: Recording, taken: int) -> list[str]:
     planned = recording.planned_views
     if planned is None or taken >= planned:
         return []
-    return [f"the recording is incomplete, {taken} of {planned} views: 'capture run --resume' takes the others"]
+    note = f"the recording is incomplete, {taken} of {planned} views: 'capture run --resume' takes the others"
+    given_up = left_out(recording)
+    return [f"{note}; the arm did not come to rest at {', '.join(given_up)}" if given_up else note]
 
 
 def depth_notes(frames: list[Frame]) -> list[str]:

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from koala3d.capture.drivers.errors import CaptureError
-from koala3d.capture.drivers.ur.link import Deadlines
 from koala3d.capture.drivers.ur.robot import UniversalRobot
 from koala3d.capture.sim.controller.process import SimulatedController
 from koala3d.datasets.recording import Recording
@@ -80,7 +79,6 @@ FAULTS = {
         lambda session: until(lambda: session.controller.ask("truth")["safety"] == "NORMAL", "the safeguard to let go"),
         client="ur_rtde",
     ),
-    "connection dropped": Fault(_ask("drop"), ("connection to the robot", "resume")),
     "data silent": Fault(
         _ask("silent", seconds=60),
         ("data stream stands still", "the arm was stopped"),
@@ -115,17 +113,49 @@ FAULTS = {
 def test_in_a_row(session: Session, name: str, times: int) -> None:
     fault = FAULTS[name]
     for repetition in range(times):
-        code, words = session.capture_until(fault.strike, after=1 + 2 * repetition, resume=repetition > 0)
+        code, words = session.capture_until(fault.strike, after=1 + repetition, resume=repetition > 0)
         took = time.monotonic() - session.happened
         assert code == 1 and words.count("error:") == 1, words
         line = next(line for line in words.splitlines() if line.startswith("error:"))
         assert all(part in line for part in fault.words) and session.controller.host in line, line
         assert took < fault.deadline_s, f"{took:.1f} s from fault to message"
         until(lambda: rests(session.controller), "the arm at rest")
-        assert 1 + 2 * repetition <= len(Recording.open(session.out).frames) < session.count
+        assert not _incidents(session), "connected again after a stop for safety, or to a controller that is gone"
+        assert 1 + repetition <= len(Recording.open(session.out).frames) < session.count
         fault.mend(session)
     code, words = session.capture(resume=True)
     assert code == 0, words
+    session.check_whole()
+
+
+def _incidents(session: Session) -> list[tuple[str, str]]:
+    recording = Recording.open(session.out)
+    return [(one["view"], one["what"]) for one in recording.manifest.get("incidents", [])]
+
+
+@pytest.mark.both_clients
+def test_a_connection_that_fails_once_is_opened_again_and_the_next_move_is_slow(session: Session) -> None:
+    code, words = session.capture_until(_ask("drop"), after=1, resume=False)
+    assert code == 0, words
+    ((view, what),) = _incidents(session)
+    assert what == "connected again" and view in ("001", "002")
+    session.check_whole()
+
+
+@pytest.mark.both_clients
+def test_a_connection_that_fails_twice_ends_the_session(session: Session) -> None:
+    def drop_twice(at: Session) -> None:
+        at.controller.ask("drop")
+        until(lambda: _incidents(at), "the session to go on")
+        until(lambda: moves(at.controller), "a motion after it")
+        at.controller.ask("drop")
+
+    code, words = session.capture_until(drop_twice, after=1, resume=False)
+    line = next(line for line in words.splitlines() if line.startswith("error:"))
+    assert code == 1 and "connection to the robot" in line and "resume" in line
+    assert len(_incidents(session)) == 1
+    until(lambda: rests(session.controller), "the arm at rest")
+    assert session.capture(resume=True)[0] == 0
     session.check_whole()
 
 
@@ -226,9 +256,8 @@ def test_a_motion_of_the_vendors_client_continues_after_pause_and_play() -> None
 
 
 def test_a_controller_that_hangs_is_left_stopped_by_its_watchdog(client: str) -> None:
-    deadlines = Deadlines(stale_s=1.0, watchdog_hz=1.0)
     with SimulatedController.start(time_scale=1.0) as controller:
-        robot = UniversalRobot(controller.host, deadlines=deadlines, client=client)
+        robot = UniversalRobot(controller.host, client=client)
         with pytest.raises(CaptureError, match="does not answer a second connection either"), robot:
             with in_motion(controller, lambda: controller.ask("hang", seconds=60)):
                 robot.move_to(FAR, **UNHURRIED)

@@ -22,7 +22,7 @@ class InspectedCamera:
     nodes: Nodes
     serial: str
     facts: Mapping[str, str] = field(default_factory=dict)
-    """What it says of `firmware` and `link` beside its settings."""
+    """What is known beside its settings: `firmware`, `link`, `transport` (as its library calls it)."""
 
 
 class CameraDriver(ABC):

@@ -101,6 +101,11 @@ class Basler(GenicamCamera):
         """Its serial number."""
         return str(self._camera.GetDeviceInfo().GetSerialNumber())
 
+    @property
+    def facts(self) -> dict[str, str]:
+        """See `InspectedCamera`."""
+        return {"transport": str(self._camera.GetDeviceInfo().GetDeviceClass())}
+
     def _connect(self) -> None:
         if self.emulated:
             os.environ["PYLON_CAMEMU"] = EMULATED  # pylon reads it when it looks for cameras

@@ -73,6 +73,11 @@ class GenTlCamera(GenicamCamera):
         """Its serial number."""
         return self._info["serial_number"]
 
+    @property
+    def facts(self) -> dict[str, str]:
+        """See `InspectedCamera`."""
+        return {"transport": self._info["tl_type"]}
+
     def _connect(self) -> None:
         from harvesters.core import Harvester
 
@@ -168,7 +173,7 @@ def _producers(source: str) -> list[Path]:
 
 def _facts(info: Any) -> dict[str, str]:
     """What a producer says about a camera; it need not say all."""
-    found = {key: str(tried(info, key) or "") for key in ("id_", "vendor", "model", "serial_number", "version")}
+    found = {key: str(tried(info, key) or "") for key in ("id_", "vendor", "model", "serial_number", "version", "tl_type")}
     return {**found, "producer": str(tried(info.parent.parent, "path_name") or "")}
 
 

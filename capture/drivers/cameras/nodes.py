@@ -1,7 +1,8 @@
 """Settings of a camera by the names that it gives them, in most cases those of GenICam; each is read back where it is written."""
 
 import math
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any, NamedTuple, Protocol
 
 from koala3d.capture.drivers.errors import CaptureError
@@ -26,7 +27,7 @@ class Nodes(Protocol):
     """A camera's settings."""
 
     def has(self, name: str) -> bool:
-        """Whether the setting exists and can be read now."""
+        """Whether the setting exists and can be read or written now: commands can only be written."""
         ...
 
     def read(self, name: str) -> Any:
@@ -58,6 +59,39 @@ def put_all(nodes: Nodes, settings: Mapping[str, bool | int | float | str], wher
             raise CaptureError(f"camera has no setting {name}", where=where, why=why, remedy=remedy)
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
         put(nodes, name, value, tolerance=1e-3 * abs(float(value)) + 1e-6 if is_number else 0.0)
+
+
+class _TriedNodes:
+    """Settings that are written to a camera, each with the value that it had before; commands are not run."""
+
+    def __init__(self, under: Nodes) -> None:
+        self._under = under
+        self._before: dict[str, Any] = {}
+        self.has, self.read, self.symbolics = under.has, under.read, under.symbolics
+
+    def write(self, name: str, value: Any) -> None:
+        """See `Nodes`."""
+        if value is None:
+            return
+        if name not in self._before:
+            self._before[name] = self._under.read(name)
+        self._under.write(name, value)
+
+    def put_back(self) -> None:
+        """Write the values from before, the latest first: a selector decides what the settings behind it are."""
+        for name, value in reversed(self._before.items()):
+            if self._under.read(name) != value:
+                self._under.write(name, value)
+
+
+@contextmanager
+def tried(nodes: Nodes) -> Iterator[Nodes]:
+    """The settings to try values with: all are put back at the end. Raises CaptureError: the camera rejects what it had."""
+    under = _TriedNodes(nodes)
+    try:
+        yield under
+    finally:
+        under.put_back()
 
 
 def first(nodes: Nodes, names: Collection[str], suits: Callable[[str], bool] = lambda name: True) -> str | None:

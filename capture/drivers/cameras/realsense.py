@@ -178,7 +178,7 @@ class RealSense(CameraDriver):
             size = (self.device.depth.width, self.device.depth.height)
             depth = _profile(self._depth, rs.stream.depth, rs.format.z16, size, colour.fps(), where)
         self._profiles = (colour, depth)
-        set_start_state(self.nodes)
+        set_start_state(self.nodes, self.nodes.default)
         if "exposure_us" not in self.device.leave:
             self.set_exposure(wanted.exposure_us)
         refusals.require_left(self.device, "gain_db", "its gain has no unit", where)

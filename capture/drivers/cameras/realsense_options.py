@@ -1,12 +1,12 @@
 """Options of RealSense sensors by librealsense's names, the state that sessions start from, and the factory's calibration."""
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.capture.drivers.cameras.nodes import put
+from koala3d.capture.drivers.cameras.nodes import Nodes, put
 from koala3d.capture.drivers.errors import CaptureError
 from koala3d.datasets.camera_model import Camera
 
@@ -70,16 +70,16 @@ class OptionNodes:
         return self._sensors[prefix], getattr(self._rs.option, name.removeprefix(prefix), None)
 
 
-def set_start_state(nodes: OptionNodes) -> None:
-    """Automatic functions off, and the factory's values of all that changes colours."""
+def set_start_state(nodes: Nodes, default: Callable[[str], float]) -> None:
+    """Automatic functions off, and the factory's values of all that changes colours; `default` says them by name."""
     for name in DEFAULTS:
         if nodes.has(name) and name != "white_balance":
-            put(nodes, name, nodes.default(name))
+            put(nodes, name, default(name))
     for name, value in PLAIN.items():
         if nodes.has(name):
             put(nodes, name, value)
     if nodes.has("white_balance"):  # can be set only where it is not automatic
-        put(nodes, "white_balance", nodes.default("white_balance"))
+        put(nodes, "white_balance", default("white_balance"))
 
 
 def factory_camera(profile: Any) -> dict[str, Any]:

@@ -2,7 +2,8 @@
 
 The vendor's client can hang, hold the interpreter or crash when a connection breaks; the parent then kills this process. The two
 exchange JSON lines over the socket FD. This one sends {"ready": ...} or {"failed": ...}, then {"state": ...} for every new sample
-and {"accepted": number} or {"refused": number} for every motion. It receives {"do": "move" | "stop"}. It ends with the socket.
+and {"accepted": number} or {"refused": number} for every motion. It receives {"do": "move" | "stop" | "watch"}. It ends with the
+socket.
 """
 
 import contextlib
@@ -21,8 +22,15 @@ MAX_BUSY_PERIOD_S, IDLE_PERIOD_S, BUSY_AFTER_S = 0.005, 0.02, 1.0
 KICK_S = 0.05
 
 
-def open_client(choice: str, host: str, frequency: float, watchdog_hz: float) -> Client:
+PATIENCE_S = 1.0  # without the parent taking anything, until the arm is brought to rest [s]
+NICENESS = -10
+"""Priority where the user may raise it: a pause of the length of a deadline stops the arm, and this process needs little."""
+
+
+def open_client(choice: str, host: str, frequency: float, watchdog_hz: float, registers: str) -> Client:
     """Connect and start the control program; it stops by itself when it is not kicked for 1 / `watchdog_hz` seconds.
+
+    `registers`: see `capture.model.rig.RobotDescription`.
 
     Raises:
         StartError: it did not start.
@@ -32,7 +40,7 @@ def open_client(choice: str, host: str, frequency: float, watchdog_hz: float) ->
         try:
             from koala3d.capture.drivers.ur.vendor_client import VendorClient
 
-            return VendorClient(host, frequency, watchdog_hz)
+            return VendorClient(host, frequency, watchdog_hz, upper=registers == "upper")
         except ImportError as error:
             if choice == ClientChoice.UR_RTDE:
                 raise StartError(f"ur-rtde is not installed: {error}", StartFailure.MISSING) from None
@@ -41,9 +49,40 @@ def open_client(choice: str, host: str, frequency: float, watchdog_hz: float) ->
     return KoalaClient(host, frequency, watchdog_hz)
 
 
+class Outbox:
+    """Messages to the parent. None waits for it: the watchdog must be kicked while the parent is busy.
+
+    A sample that finds the way blocked is dropped, since a newer one follows. Raises TimeoutError from `put` if the parent takes
+    nothing for `PATIENCE_S`.
+    """
+
+    def __init__(self, link: socket.socket) -> None:
+        self.link, self._waiting, self._blocked_since = link, b"", 0.0
+
+    def put(self, message: dict[str, Any], *, may_drop: bool = False) -> None:
+        """Send, or keep what cannot be sent yet."""
+        self._send()
+        if not (may_drop and self._waiting):
+            self._waiting += (json.dumps(message) + "\n").encode()
+            self._send()
+
+    def _send(self) -> None:
+        now = time.monotonic()
+        try:
+            while self._waiting:
+                self._waiting = self._waiting[self.link.send(self._waiting) :]
+                self._blocked_since = now
+        except BlockingIOError:
+            if now - self._blocked_since > PATIENCE_S:
+                raise TimeoutError("the parent takes nothing") from None
+        if not self._waiting:
+            self._blocked_since = now
+
+
 def _serve(client: Client, link: socket.socket, busy_period_s: float) -> None:
     """Loop until the link closes."""
     link.setblocking(False)
+    outbox = Outbox(link)
     buffer, kicked, stamp, busy_until = b"", 0.0, -1.0, 0.0
     while True:
         begun = time.monotonic()
@@ -57,7 +96,8 @@ def _serve(client: Client, link: socket.socket, busy_period_s: float) -> None:
         *lines, buffer = buffer.split(b"\n")
         for line in lines:
             busy_until = begun + BUSY_AFTER_S
-            _send(link, _obey(client, json.loads(line)))
+            if answer := _obey(client, json.loads(line)):
+                outbox.put(answer)
         if begun - kicked >= KICK_S:
             client.kick()
             kicked = begun
@@ -65,12 +105,14 @@ def _serve(client: Client, link: socket.socket, busy_period_s: float) -> None:
         busy_until = begun + BUSY_AFTER_S if state["moving"] else busy_until
         if state["robot_time_s"] != stamp or not (state["connected"] and state["running"]):
             stamp = state["robot_time_s"]
-            _send(link, {"state": state})
+            outbox.put({"state": state}, may_drop=True)
         period = busy_period_s if begun < busy_until else IDLE_PERIOD_S
         select.select([link], [], [], max(0.0, period - (time.monotonic() - begun)))
 
 
-def _obey(client: Client, request: dict[str, Any]) -> dict[str, Any]:
+def _obey(client: Client, request: dict[str, Any]) -> dict[str, Any] | None:
+    if request["do"] == "watch":  # a request by itself makes samples come as in motion
+        return None
     if request["do"] == "stop":
         client.stop(request["deceleration"])
         return {"stopping": request["number"]}
@@ -79,16 +121,16 @@ def _obey(client: Client, request: dict[str, Any]) -> dict[str, Any]:
 
 
 def _send(link: socket.socket, message: dict[str, Any]) -> None:
-    link.setblocking(True)
-    link.settimeout(1.0)
+    link.settimeout(PATIENCE_S)
     link.sendall((json.dumps(message) + "\n").encode())
-    link.setblocking(False)
 
 
 def main() -> None:
     """Connect, serve, and leave without the vendor's destructors, which sleep and may hang."""
     link = socket.socket(fileno=int(sys.argv[1]))
     options = json.loads(sys.argv[2])
+    with contextlib.suppress(OSError):  # most users may not
+        os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
     try:
         client = open_client(**options)
         _send(link, {"ready": True, "tcp_offset": client.tcp_offset(), "client": client.name})

@@ -13,7 +13,7 @@ from typing import IO, Any, Self
 
 @dataclass(frozen=True)
 class Deadlines:
-    """How long to wait, on the host's clock. A simulated arm on a busy computer needs longer deadlines than a real rig."""
+    """How long to wait, on the host's clock."""
 
     stale_s: float = 0.2  # without a new sample for this long, the data stream counts as stopped [s]
     watchdog_hz: float = 5.0  # the controller stops its program when it receives nothing for one period [Hz]
@@ -45,11 +45,13 @@ class ChildLink:
         self._reader.start()
 
     @classmethod
-    def start(cls, client: str, host: str, frequency: float, watchdog_hz: float) -> Self:
+    def start(cls, client: str, host: str, frequency: float, watchdog_hz: float, registers: str) -> Self:
         """Start the child; it connects on its own and answers "ready" or "failed"."""
         ours, theirs = socket.socketpair()
         output = tempfile.TemporaryFile()
-        options = json.dumps({"choice": client, "host": host, "frequency": frequency, "watchdog_hz": watchdog_hz})
+        options = json.dumps(
+            {"choice": client, "host": host, "frequency": frequency, "watchdog_hz": watchdog_hz, "registers": registers}
+        )
         with theirs:
             process = subprocess.Popen(
                 [sys.executable, "-m", "koala3d.capture.drivers.ur._child", str(theirs.fileno()), options],
@@ -96,6 +98,16 @@ class ChildLink:
         with self._news:
             self._news.wait_for(lambda: self._sample is not previous or self._closed, timeout_s)
             return self._sample if self._sample is not previous else None
+
+    def watched(self, seconds: float, count: int) -> list[list[float]]:
+        """Joint angles [rad] of the samples in a time, up to three times as long if there are fewer than `count`."""
+        self.request("watch")
+        begun, sample, joints = time.monotonic(), self._sample, []
+        while (since := time.monotonic() - begun) < seconds or (len(joints) < count and since < 3 * seconds):
+            if (newer := self.next_sample(sample, seconds)) is not None:
+                sample = newer
+                joints.append(newer.content["joints"])
+        return joints
 
     @property
     def newest(self) -> Sample | None:

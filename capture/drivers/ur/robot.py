@@ -12,14 +12,15 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.capture.drivers.errors import CaptureError, MotionError, NotReady, ProtectiveStop, RigConnectionError, StopLatched
+from koala3d.capture.drivers.errors import CaptureError, MotionError, NotSettled, RigConnectionError, StopLatched
 from koala3d.capture.drivers.measurements import RobotState
 from koala3d.capture.drivers.safety import Limits
 from koala3d.capture.drivers.ur.client import ClientChoice, StartFailure
+from koala3d.capture.drivers.ur.faults import Aftermath, start_remedy
 from koala3d.capture.drivers.ur.link import ChildLink, Deadlines, Sample
-from koala3d.capture.drivers.ur.modes import is_guarded, may_move
 from koala3d.capture.drivers.ur.pendant import Pendant, client_for, require_ready
-from koala3d.capture.drivers.ur.settling import Settling, Window
+from koala3d.capture.drivers.ur.settling import NOISIEST_RAD, Settling, Window, noise_of
+from koala3d.capture.drivers.ur.stand_in import runtime_state
 from koala3d.capture.drivers.ur.stop_channel import STILL_RAD_S, StopChannel, StopReply
 from koala3d.capture.model.arm import identify
 from koala3d.capture.model.kinematics import pose_from_six
@@ -28,11 +29,9 @@ from koala3d.datasets import pose
 log = logging.getLogger(__name__)
 MAY_MOVE_BITS = 0b11
 """Of the safety status: normal and reduced mode. Every other bit is a stop, a fault, or recovery."""
-START_REMEDIES = {
-    StartFailure.IN_USE: "end the other program that controls the robot",
-    StartFailure.MISSING: "pip install 'koala-capture[robot]', or use robot.client: koala",
-    StartFailure.OTHER: "check the controller, then run again",
-}
+HEARD_S = 0.05  # how long a sample is waited for at once [s]
+NOISE_S, NOISE_SAMPLES = 0.3, 60
+"""How long, and for how many samples, the noise of the resting arm is measured on entering [s, host's clock]."""
 
 
 class UniversalRobot:
@@ -50,6 +49,7 @@ class UniversalRobot:
         tolerance: largest difference between measured and target angles at the end of a motion [rad].
         frequency: requested sample rate of the controller [Hz].
         client: "ur_rtde", the vendor's; "koala", our own; or "auto": the vendor's where it is installed and there is a dashboard.
+        registers: those that the vendor's client takes, "lower" (0 to 23) or "upper" (24 to 47).
         take_over: end a program that runs on the controller; else entering leaves it alone and raises NotReady.
     """
 
@@ -63,11 +63,13 @@ class UniversalRobot:
         tolerance: float = 1e-3,
         frequency: float = 500.0,
         client: str = ClientChoice.AUTO,
+        registers: str = "lower",
         take_over: bool = False,
     ) -> None:
         self.host, self.limits, self.settling = host, limits or Limits(), settling or Settling()
         self.tolerance, self.frequency, self.deadlines = tolerance, frequency, deadlines or Deadlines()
-        self.client, self.take_over = ClientChoice(client), take_over
+        self.client, self.registers, self.take_over = ClientChoice(client), registers, take_over
+        self.noise = 0.0  # of the resting arm's angles, measured on entering [rad]
         self._stop_channel = StopChannel(host)
         self._link: ChildLink | None = None
         self._tcp_from_flange = np.eye(4)
@@ -81,15 +83,19 @@ class UniversalRobot:
         try:
             pendant = self._stop_channel.connect()
             require_ready(pendant, self.host)
+            if not runtime_state(self.host):  # clients would wait for samples, the vendor's holding its interpreter
+                remedy = "enable RTDE at the pendant, restart the controller, then run again"
+                raise RigConnectionError("RTDE sends no samples", where=self.host, remedy=remedy)
             self._stop_channel.take(1.0 / self.deadlines.watchdog_hz + 1.0, by_force=self.take_over)
-            self._link = ChildLink.start(
-                client_for(pendant, self.client, self.host), self.host, self.frequency, self.deadlines.watchdog_hz
-            )
+            client, watchdog_hz = client_for(pendant, self.client, self.host), self.deadlines.watchdog_hz
+            self._link = ChildLink.start(client, self.host, self.frequency, watchdog_hz, self.registers)
             ready = self._link.wait_for(("ready", "failed"), self.deadlines.connect_s)
             if ready is None or "failed" in ready:
                 raise self._no_connection(self._link, ready)
             self._describe(pendant, ready["client"], ready["tcp_offset"])
             self._description["model"] = _model(self.state())
+            self.noise = min(noise_of(self._link.watched(NOISE_S, NOISE_SAMPLES)), NOISIEST_RAD)
+            self._description["noise_rad"] = self.noise
         except BaseException:
             self.close()
             raise
@@ -135,6 +141,7 @@ class UniversalRobot:
             SafetyError: the target or the speed is outside the limits; nothing has moved.
             StopLatched: the arm was stopped and not cleared; nothing has moved.
             ProtectiveStop: the controller has stopped the arm for safety.
+            NotSettled: it arrived, and does not come to rest.
             MotionError: it did not arrive, or was stopped; it stands still.
             RigConnectionError: the connection was lost; the arm is ordered to stop, and stops by its watchdog in any case.
         """
@@ -180,7 +187,7 @@ class UniversalRobot:
         self._stopped.clear()
 
     def description(self) -> dict[str, Any]:
-        """Model, address, serial number, software and tool offset of the arm, and the client in use."""
+        """Model, address, serial number, software, tool offset and noise of the arm, and the client in use."""
         return dict(self._description)
 
     def _connected(self) -> ChildLink:
@@ -245,29 +252,31 @@ class UniversalRobot:
         return fraction
 
     def _settle(self, target: NDArray[np.float64]) -> None:
-        """Return once the arm is still and at the target."""
+        """Return once the arm is still and at the target. Raises NotSettled: it is at the target and not still in time."""
         begun, settling, window = time.monotonic(), self.settling, Window(self.settling.time_s)
         for sample in self._samples(self._connected()):
             if sample is not None:
                 window.add(sample.content["robot_time_s"], sample.content["joints"])
-                if window.full and window.spread <= settling.spread:
+                if window.rests(settling.spread, self.noise):
                     missed = float(np.abs(window.mean - target).max())
                     if missed > self.tolerance:
                         raise self._fault(f"the arm stopped {np.degrees(missed):.3f} degrees from its target")
                     return
             if time.monotonic() - begun > settling.timeout_s + settling.time_s:
-                spread = f"its joints vary by {window.spread:.1e} rad, limit {settling.spread:.1e}" if sample else "no samples"
-                remedy = "look for what moves it; for an arm with noisier encoders raise motion.settle_spread; then resume"
-                raise self._fault(f"the arm does not come to rest: {spread}", remedy=remedy)
+                why = f"its joints vary by {window.deviation:.1e} rad (standard deviation), at rest by {self.noise:.1e}"
+                remedy = f"look for what moves it, or raise motion.settle_spread, {settling.spread:.1e} rad; then resume"
+                raise NotSettled("the arm does not come to rest", where=self.host, why=why, remedy=remedy)
 
     def _samples(self, link: ChildLink) -> Iterator[Sample | None]:
         """Every new sample, None where none came for a moment; raises where a motion cannot continue."""
-        sample, heard = None, time.monotonic()
+        sample, silence_s = None, 0.0
         while True:
-            newer = link.next_sample(sample, timeout_s=0.05)
-            now = time.monotonic()
-            heard, sample = (now, newer) if newer is not None else (heard, sample)
-            self._watch(link, sample, now - heard)
+            begun = time.monotonic()
+            newer = link.next_sample(sample, timeout_s=HEARD_S)
+            # if this process was not served for longer, so was the thread that reads: samples may lie in the socket
+            silence_s = 0.0 if newer is not None else silence_s + min(time.monotonic() - begun, 2 * HEARD_S)
+            sample = newer or sample
+            self._watch(link, sample, silence_s)
             yield newer
 
     def _watch(self, link: ChildLink, sample: Sample | None, silence_s: float) -> None:
@@ -299,20 +308,8 @@ class UniversalRobot:
         safety, mode = self._stop_channel.safety_and_mode()
         known = self._stop_channel.known(answer, None if link is None else link.newest)
         self.close()
-        if safety == "PROTECTIVE_STOP":
-            remedy = "look for the cause, release it at the pendant, then resume"
-            return ProtectiveStop("protective stop: the arm stands still", where=self.host, why=what, remedy=remedy)
-        if safety and not may_move(safety):
-            remedy = "release it at the pendant, switch the arm on, then resume"
-            if is_guarded(safety):
-                remedy = "close the fence or reset the scanner; the program was ended and does not go on by itself; then resume"
-            why = f"safety status {safety}, robot mode {mode}"
-            return NotReady("the robot is stopped for safety", where=self.host, why=why, remedy=remedy)
-        if answer is StopReply.SILENT:
-            kind, remedy = RigConnectionError, "the arm stops by its own watchdog; check network and controller, then resume"
-        elif answer is StopReply.REFUSED:
-            remedy = "see at the pendant what its program does, and stop it there"
-        return kind(what, where=self.host, why="; ".join(filter(None, (known, printed))), remedy=remedy)
+        known = "; ".join(filter(None, (known, printed)))
+        return Aftermath(self.host, answer, known, safety, mode).error(what, kind, remedy)
 
     def _rests_within(self, seconds: float) -> bool:
         link, deadline = self._link, time.monotonic() + seconds
@@ -329,7 +326,8 @@ class UniversalRobot:
         else:
             silence = f"no answer within {self.deadlines.connect_s:.0f} s" if link.alive else "its client ended"
             why = f"{silence}. {link.kill()}".strip()
-        remedy = START_REMEDIES[StartFailure(answer["failure"]) if answer else StartFailure.OTHER]
+        failure = StartFailure(answer["failure"]) if answer else StartFailure.OTHER
+        remedy = start_remedy(failure, self.client, self.registers)
         return RigConnectionError("the robot does not take the control program", where=self.host, why=why, remedy=remedy)
 
 

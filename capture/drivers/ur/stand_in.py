@@ -1,6 +1,7 @@
 """Stands in for the dashboard, which PolyScope X does not have: asks over RTDE, and stops the arm by a program of its own.
 
 A program that arrives at the primary interface takes the place of the one that runs. This one brings the joints to rest and ends.
+The Robot API, which PolyScope X has from 10.11 on, is asked for the rest, and is the second way to stop.
 """
 
 import contextlib
@@ -9,7 +10,7 @@ import time
 from typing import Any, Self
 
 from koala3d.capture.drivers.errors import RigConnectionError
-from koala3d.capture.drivers.ur import primary
+from koala3d.capture.drivers.ur import primary, robot_api
 from koala3d.capture.drivers.ur.modes import RobotMode, SafetyMode, name_of
 from koala3d.capture.drivers.ur.rtde.stream import RtdeStream
 
@@ -25,16 +26,24 @@ def program_state(runtime_state: int) -> str:
     return STATES.get(runtime_state, "STOPPED")
 
 
+def runtime_state(host: str) -> str:
+    """What the program does by RTDE, in the dashboard's words; empty: RTDE does not answer."""
+    try:
+        return program_state(_sample(host)["runtime_state"])
+    except RigConnectionError:
+        return ""
+
+
 class StandIn:
     """A `Pendant` of a controller without dashboard.
 
-    Nobody says over these interfaces whether the controller takes orders from other computers, nor the arm's serial number.
+    Without a Robot API nobody says whether the controller takes orders from other computers, nor the arm's serial number.
     """
 
     name = "primary interface"
 
     def __init__(self, host: str, version: tuple[int, ...]) -> None:
-        self.host, self._version = host, version
+        self.host, self._version, self._api = host, version, robot_api.ask(host)
 
     @classmethod
     def connect(cls, host: str) -> Self:
@@ -63,6 +72,8 @@ class StandIn:
                         return "Stopped"
         except OSError as error:
             raise _silent(self.host, str(error)) from None
+        if robot_api.stop(self.host) and self.program_state() == "STOPPED":
+            return "Stopped"
         return "its program goes on"
 
     def program_state(self) -> str:
@@ -78,12 +89,13 @@ class StandIn:
         return name_of(RobotMode, self._now()["robot_mode"])
 
     def remote_control(self) -> bool:
-        """Not asked: without it the control program does not start, and that is reported."""
-        return True
+        """As the Robot API says it. Without one the control program does not start in local control, and that is reported."""
+        api = self._api = robot_api.ask(self.host) if self._api else None
+        return api is None or api.control_mode != "LOCAL"
 
     def serial(self) -> str:
-        """It is not said here."""
-        return "unknown"
+        """As the Robot API says it."""
+        return (self._api.serial if self._api else "") or "unknown"
 
     def version(self) -> str:
         """From the primary interface."""
@@ -93,18 +105,22 @@ class StandIn:
         """Nothing is open between two questions."""
 
     def _now(self) -> dict[str, Any]:
-        """A sample of this moment, over a connection of its own: one that nobody reads for an hour fills up and is closed."""
-        try:
-            stream = RtdeStream(self.host, ["safety_mode", "robot_mode", "runtime_state"], [], RATE_HZ)
-        except OSError as error:
-            raise _silent(self.host, str(error)) from None
-        try:
-            sample = stream.newest(TIMEOUT_S)
-        finally:
-            stream.close()
-        if sample is None:
-            raise _silent(self.host, "no sample within a second")
-        return sample
+        return _sample(self.host)
+
+
+def _sample(host: str) -> dict[str, Any]:
+    """A sample of this moment, over a connection of its own: one that nobody reads for an hour fills up and is closed."""
+    try:
+        stream = RtdeStream(host, ["safety_mode", "robot_mode", "runtime_state"], [], RATE_HZ)
+    except OSError as error:
+        raise _silent(host, str(error)) from None
+    try:
+        sample = stream.newest(TIMEOUT_S)
+    finally:
+        stream.close()
+    if sample is None:
+        raise _silent(host, "no sample within a second")
+    return sample
 
 
 def _silent(host: str, why: str) -> RigConnectionError:

@@ -11,6 +11,7 @@ from koala3d.capture.drivers.errors import NotReady, RigConnectionError
 from koala3d.capture.drivers.ur import pendant
 from koala3d.capture.drivers.ur.link import Sample
 from koala3d.capture.drivers.ur.pendant import BUSY, Pendant
+from koala3d.capture.drivers.ur.stand_in import runtime_state
 
 STILL_RAD_S = 0.01
 """Below this speed of its fastest joint an arm counts as at rest [rad/s]: ten times the noise of measured speeds."""
@@ -21,7 +22,8 @@ class StopReply(Enum):
 
     STOPPED = "the arm was stopped"
     IDLE = "the controller runs no program"
-    REFUSED = "the controller refuses to stop its program"
+    REFUSED = "the controller refused to stop its program, which still runs"
+    UNCONFIRMED = "the controller stopped no program, and nothing confirms that none runs"
     SILENT = "the controller does not answer a second connection either"
 
 
@@ -58,7 +60,10 @@ class StopChannel:
         controller.stop()
 
     def stop(self) -> StopReply:
-        """Order the controller to end its program; tries again over a new connection. Only the reply "Stopped" is a stop."""
+        """Order the controller to end its program; tries again over a new connection. Only the reply "Stopped" is a stop.
+
+        After any other reply RTDE is asked as well: the dashboard need not know of a program that was uploaded.
+        """
         with self._lock:
             for attempt in range(2):
                 try:
@@ -66,7 +71,10 @@ class StopChannel:
                     self.reply = controller.stop()
                     if self.reply == "Stopped":
                         return StopReply.STOPPED
-                    return StopReply.REFUSED if controller.program_state().startswith("PLAYING") else StopReply.IDLE
+                    states = controller.program_state(), runtime_state(self.host)
+                    if any(state.startswith(BUSY) for state in states):
+                        return StopReply.REFUSED
+                    return StopReply.IDLE if states[1] else StopReply.UNCONFIRMED
                 except RigConnectionError:
                     continue
         return StopReply.SILENT
@@ -94,7 +102,8 @@ class StopChannel:
         """What is known of the arm after an order to stop, in words; `sample` is the newest one."""
         if answer is StopReply.STOPPED:
             return answer.value
-        refusal = f"{answer.value} ({self.reply!r})" if answer is StopReply.REFUSED else answer.value
+        refused = answer in (StopReply.REFUSED, StopReply.UNCONFIRMED)
+        refusal = f"{answer.value} ({self.reply!r})" if refused else answer.value
         return f"{refusal}; {motion_in_words(sample)}"
 
 

@@ -16,16 +16,18 @@ VARIABLES = (
 
 
 class VendorClient:
-    """Both connections of the library, as a `Client`."""
+    """Both connections of the library, as a `Client`; with `upper` it takes the registers 24 to 47 and leaves 0 to 23."""
 
-    def __init__(self, host: str, frequency: float, watchdog_hz: float) -> None:
+    def __init__(self, host: str, frequency: float, watchdog_hz: float, *, upper: bool = False) -> None:
         self.name = versioned("ur_rtde", "ur-rtde")
         try:
             self._receive = RTDEReceiveInterface(host, frequency, VARIABLES)
-            self._control = RTDEControlInterface(host, frequency)
+            flags = int(RTDEControlInterface.FLAG_UPLOAD_SCRIPT)
+            flags |= int(RTDEControlInterface.FLAG_UPPER_RANGE_REGISTERS) if upper else 0
+            self._control = RTDEControlInterface(host, frequency, flags)
         except RuntimeError as error:  # the library has one class for all its errors: ask the controller which it is
             time.sleep(RELEASED_S)
-            raise StartError(str(error), StartFailure.IN_USE if _registers_in_use(host) else StartFailure.OTHER) from None
+            raise StartError(str(error), StartFailure.IN_USE if _registers_in_use(host, upper) else StartFailure.OTHER) from None
         deadline = time.monotonic() + START_S
         while not (self._connected and self._control.isProgramRunning()):
             if time.monotonic() > deadline:
@@ -77,10 +79,10 @@ class VendorClient:
         self.stop(2.0)
 
 
-def _registers_in_use(host: str) -> bool:
+def _registers_in_use(host: str, upper: bool) -> bool:
     """Whether another client owns the registers that the library writes."""
     try:
-        RtdeStream(host, ["timestamp"], [["input_int_register_0"]], 1.0).close()
+        RtdeStream(host, ["timestamp"], [[f"input_int_register_{24 if upper else 0}"]], 1.0).close()
     except RegistersInUse:
         return True
     except OSError:

@@ -9,11 +9,13 @@ import json
 import os
 import random
 import sys
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
 import numpy as np
 
+from koala3d.capture.drivers.ur import robot_api
 from koala3d.capture.model.arm import load_arm
 from koala3d.capture.sim.controller import primary, side_channel
 from koala3d.capture.sim.controller.installation import Installation
@@ -38,6 +40,8 @@ async def _listen(server: ControllerServer, wanted: str) -> tuple[str, int]:
         try:
             for port, handler in handlers.items():
                 opened.append(await asyncio.start_server(handler, host, port))
+            with suppress(OSError):  # most users may not open ports below 1024, and a web server may have it
+                opened.append(await asyncio.start_server(server.serve_robot_api, host, robot_api.PORT))
         except OSError as error:
             for listener in opened:
                 listener.close()

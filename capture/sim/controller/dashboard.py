@@ -7,11 +7,17 @@ from koala3d.capture.sim.controller.state import Controller
 GREETING = "Connected: Universal Robots Dashboard Server"
 
 
+def program_state(controller: Controller) -> str:
+    """ "PLAYING", "PAUSED" or "STOPPED"; blind to uploaded programs if that fault is on."""
+    if controller.blind:
+        return "STOPPED"
+    return "PLAYING" if controller.program_running else "PAUSED" if controller.program_paused else "STOPPED"
+
+
 def reply(controller: Controller, line: str) -> str:
     """Answer to one command."""
     arm, word = controller.arm, line.strip().lower()
     running = controller.program_running
-    state = "PLAYING" if running else "PAUSED" if controller.program_paused else "STOPPED"
     installed, loaded = controller.installed, "palletizing.urp" if controller.installed.program else "rtde_control.urp"
     answers = {
         "polyscopeversion": "URSoftware {}.{}.{}.{} (simulated)".format(*installed.version),
@@ -22,7 +28,7 @@ def reply(controller: Controller, line: str) -> str:
         "robotmode": f"Robotmode: {arm.mode.name}",
         "safetystatus": f"Safetystatus: {arm.safety.name}",
         "safetymode": f"Safetymode: {arm.safety.name}",
-        "programstate": f"{state} {loaded}",
+        "programstate": f"{program_state(controller)} {loaded}",
         "get loaded program": f"Loaded program: /programs/{loaded}",
     }
     if word in answers:

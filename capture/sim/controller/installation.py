@@ -18,6 +18,10 @@ class Installation:
     checksum: str = "5afe0011"  # of the safety configuration, hexadecimal
     program: str = ""  # "PLAYING" or "PAUSED": a program that somebody else has started
     dashboard: bool = True  # PolyScope X has no dashboard server
+    robot_api: bool = True  # PolyScope X has one from 10.11 on; its service may be closed
+    operational_mode: str = "AUTOMATIC"  # or "MANUAL", as the Robot API says it
     calibrated: bool = True  # its calibration is installed; else it says that its links are the nominal ones
+    deaf_primary: bool = False  # it takes programs and does not run them
     primary: bool = True  # the primary interface may be blocked in the security settings
+    fieldbus: bool = False  # PROFINET or EtherNet/IP owns the input registers 0 to 23
     latency_s: float = 0.0  # a sample arrives late by up to this much

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from koala3d.capture.drivers.errors import SimulationError
 from koala3d.capture.model.arm import DEFAULT, load_arm
+from koala3d.capture.model.flaws import Flaws
 from koala3d.capture.sim.controller.handle import ControllerHandle
 from koala3d.datasets.core.errors import UsageError
 
@@ -26,7 +27,9 @@ START_TIMEOUT_S = 20.0
 HOME = (0.0, -np.pi / 2, 0.0, -np.pi / 2, 0.0, 0.0)  # joint angles at the start: stretched upwards [rad]
 BUILT_MM, BUILT_DEG = 0.5, 0.05
 """Standard deviations of the links of an arm as built from the nominal ones; they move the flange by millimetres."""
-ENCODER_NOISE_RAD = 4e-6  # of an arm as built: its flange seems to move by 5 um, a sixth of the repeatability
+ENCODER_NOISE_RAD = (
+    Flaws().encoder_noise_rad
+)  # of an arm as built: its flange seems to move by 5 um, a sixth of the repeatability
 
 
 class SimulatedController(ControllerHandle):
@@ -104,9 +107,10 @@ class SimulatedController(ControllerHandle):
         hangs: bool = False,
         host: str = "",
         model: str = DEFAULT,
+        noise_rad: float = ENCODER_NOISE_RAD,
     ) -> Self:
         """`start` an arm with the links and the encoders of a real one; out of the way if it hangs."""
-        errors: dict[str, Any] = {"length_error_mm": BUILT_MM, "angle_error_deg": BUILT_DEG, "noise_rad": ENCODER_NOISE_RAD}
+        errors: dict[str, Any] = {"length_error_mm": BUILT_MM, "angle_error_deg": BUILT_DEG, "noise_rad": noise_rad}
         arm = load_arm(model)
         home = arm.hanging_home if hangs else arm.home
         place: dict[str, Any] = {"host": host, "home": home, "hangs": hangs, "model": model}

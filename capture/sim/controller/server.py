@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from koala3d.capture.drivers.ur.rtde import wire
+from koala3d.capture.sim import robot_api
 from koala3d.capture.sim.controller import dashboard, script
 from koala3d.capture.sim.controller.installation import Installation
 from koala3d.capture.sim.controller.motions.arm import SimulatedArm
@@ -112,6 +113,12 @@ class ControllerServer:
                 writer.write(f"{dashboard.reply(self.controller, line.decode('latin-1'))}\n".encode())
                 await writer.drain()
 
+    async def serve_robot_api(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Serve one connection of the Robot API, which is one request."""
+        with closing(writer):
+            await self._answering()
+            await robot_api.serve(self.controller, reader, writer)
+
     async def _answering(self) -> None:
         """Return once the controller answers: a hung one accepts connections and then sends nothing."""
         while self.controller.hung:
@@ -123,7 +130,7 @@ def closing(writer: asyncio.StreamWriter) -> Iterator[None]:
     """Close the connection at the end, and where the client breaks it or sends what is no line or packet."""
     try:
         yield
-    except (ConnectionError, ValueError, struct.error):
+    except (ConnectionError, EOFError, ValueError, struct.error):
         return
     finally:
         writer.close()

@@ -9,6 +9,7 @@ from koala3d.capture.sim.controller.outputs import Outputs
 from koala3d.capture.sim.controller.state import Controller
 
 CYCLE_HZ = 500
+FIELDBUS_REGISTERS = 24  # of each kind, from 0
 MAX_UNREAD = 1 << 20  # a client that leaves this many bytes unread is cut off
 
 
@@ -64,6 +65,8 @@ class Session:
             self.send(packet(wire.DATA, self._number + self.output.pack([outputs[name] for name in self.output.names])))
 
     def _register_inputs(self, recipe: Recipe) -> bytes:
+        if self.controller.installed.fieldbus and any(_is_fieldbus(name) for name in recipe.names):
+            return b"\x00" + b",".join(b"IN_USE" for _ in recipe.names)
         if any(not session.registers.isdisjoint(recipe.names) for session in self.sessions if session is not self):
             return b"\x00" + b",".join(b"IN_USE" for _ in recipe.names)
         if not recipe.complete:
@@ -90,6 +93,12 @@ class Session:
             self.writer.transport.abort()
         elif data and not self.writer.transport.is_closing():
             self.writer.write(data)
+
+
+def _is_fieldbus(name: str) -> bool:
+    """Whether an input is a register that a fieldbus may own."""
+    register = wire.register_of(name)
+    return register is not None and register[1] < FIELDBUS_REGISTERS
 
 
 def _names(payload: bytes) -> list[str]:

@@ -90,9 +90,9 @@ def _ignore_commands(controller: Controller, ignore: bool = True) -> None:
     controller.deaf = ignore
 
 
-def _refuse_stop(controller: Controller, refuse: bool = True) -> None:
-    """Answer the dashboard's order to stop with a failure, or obey it again."""
-    controller.unstoppable = refuse
+def _refuse_stop(controller: Controller, refuse: bool = True, blind: bool = False) -> None:
+    """Answer the dashboard's order to stop with a failure, or obey it again. `blind`: it knows nothing of uploaded programs."""
+    controller.unstoppable, controller.blind = refuse, blind
 
 
 def _install(controller: Controller, model: str = "", tcp: list[float] | None = None, **settings: Any) -> None:
@@ -104,6 +104,7 @@ def _install(controller: Controller, model: str = "", tcp: list[float] | None = 
     if unknown:
         raise ValueError(f"no setting {', '.join(sorted(unknown))}")
     controller.installed = Installation(**{"up": controller.up, **settings})
+    controller.installed.version = tuple(controller.installed.version)
     controller.arm.links = load_arm(model).links if model else controller.links
     controller.arm.flange_from_tcp = pose_from_six(tcp or np.zeros(6))
     controller.arm.payload = None
@@ -151,6 +152,11 @@ def _signals(controller: Controller) -> dict[str, Any]:
     return {"digital": controller.signals.digital, "analog": controller.signals.analog, "volts": controller.signals.volts}
 
 
+def _noise(controller: Controller, noise_rad: float | None = None) -> None:
+    """Change the noise of the encoders (standard deviation [rad]); without an argument, as it was at the start."""
+    controller.arm.noise_rad = controller.noise_rad if noise_rad is None else noise_rad
+
+
 def _speed_slider(controller: Controller, fraction: float) -> None:
     """Set the pendant's slider to a fraction of full speed, 0.01 to 1."""
     controller.arm.set_speed_slider(fraction, controller.now)
@@ -172,6 +178,7 @@ ACTIONS: dict[str, Callable[..., dict[str, Any] | None]] = {
     "safeguard": _safeguard,
     "joint_limit": _joint_limit,
     "reach": _reach,
+    "noise": _noise,
     "speed_slider": _speed_slider,
     "freedrive": _freedrive,
     "push": _push,

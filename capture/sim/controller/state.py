@@ -16,6 +16,9 @@ from koala3d.capture.sim.controller.motions.arm import SimulatedArm
 
 SIMULATED_INPUTS = signals.NAMES | {"speed_slider_fraction", "speed_slider_mask"}
 """Inputs besides the registers. Writing any other one ends the program."""
+LONGEST_CYCLE_S = 0.02
+"""What a cycle counts for the watchdog at most. A computer that is busy may not serve this process for longer, and then a packet
+lies in its socket; a controller runs in real time [s]."""
 
 
 class Controller:
@@ -27,13 +30,13 @@ class Controller:
 
     def __init__(self, arm: SimulatedArm, time_scale: float, installed: Installation, report: Callable[[str], None]) -> None:
         self.arm, self.time_scale, self.installed, self.report = arm, time_scale, installed, report
-        self.up, self.links = installed.up, arm.links  # as it was started
+        self.up, self.links, self.noise_rad = installed.up, arm.links, arm.noise_rad  # as it was started
         self.program: script.ControlProgram | None = None
         self.signals = signals.Signals()
         self.silent_until, self.hung_until = 0.0, 0.0
-        self.deaf, self.unstoppable = False, False
+        self.deaf, self.unstoppable, self.blind = False, False, False
         self.guarded_until = math.inf  # real time at which a safeguard lets the program go on by itself [s]
-        self._input_written_s = 0.0
+        self._unheard_s, self._stepped = 0.0, time.monotonic()  # since an input was written, of the cycles alone [s]
         self._start = time.monotonic()
         self._poses: dict[bytes, np.ndarray] = {}
 
@@ -87,6 +90,8 @@ class Controller:
 
     def upload(self, text: str) -> None:
         """Start a program, as the script port does with every one that it receives. Raises ScriptError: it is refused."""
+        if self.installed.deaf_primary:
+            return
         if (deceleration := script.stop_of(text)) is not None:
             if not self.unstoppable:
                 self.stop_program()
@@ -99,7 +104,7 @@ class Controller:
             if previous is not None:
                 self.program.input_ints, self.program.input_doubles = previous.input_ints, previous.input_doubles
             self.arm.stop(3.0, self.now)
-            self._input_written_s = time.monotonic()
+            self._unheard_s = 0.0
             self.program.cycle(self.now)
 
     def write_inputs(self, values: dict[str, Any]) -> None:
@@ -111,7 +116,7 @@ class Controller:
                 kind, number = register
                 (program.input_ints if kind == "int" else program.input_doubles)[number] = value
                 if program.offset == number and kind == "int":
-                    self._input_written_s = time.monotonic()
+                    self._unheard_s = 0.0
             elif register is None and name not in SIMULATED_INPUTS and self.program_running and program is not None:
                 program.fail(f"input {name} is not simulated")
         if values.get("speed_slider_mask"):  # without its bit the fraction is not used
@@ -122,7 +127,8 @@ class Controller:
 
     def step(self) -> None:
         """One cycle of the program, the safety limits and the watchdog."""
-        program, now = self.program, self.now
+        program, now, moment = self.program, self.now, time.monotonic()
+        self._unheard_s, self._stepped = self._unheard_s + min(moment - self._stepped, LONGEST_CYCLE_S), moment
         self.arm.check_limits(now)
         if self.arm.why:
             self.report(self.arm.why)
@@ -134,9 +140,8 @@ class Controller:
             self.arm.safety, guarded = SafetyMode.NORMAL, False
             self.play_program()
         if program is not None and program.running:
-            late = time.monotonic() - self._input_written_s
             stopped = not self.arm.may_move and not guarded
-            if stopped or (program.watchdog_s is not None and late > program.watchdog_s):
+            if stopped or (program.watchdog_s is not None and self._unheard_s > program.watchdog_s):
                 program.end(now)
             elif not self.deaf:
                 program.cycle(now)

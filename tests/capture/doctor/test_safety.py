@@ -36,10 +36,10 @@ def test_only_normal_and_reduced_mode_are_in_order(number: int) -> None:
     assert (found["safety mode"][1] == unknown) == (number < 1 or number == 21 or number > 22)
 
 
-def test_the_dashboard_is_heard_too() -> None:
+def test_the_pendant_is_heard_too() -> None:
     assert lines_of(1, "NORMAL") | {"safety checksum": ()} == lines_of(1) | {"safety checksum": ()}
-    assert lines_of(1, "FAULT")["safety mode"] == (Verdict.WRONG, "normal; the dashboard says fault")
-    assert lines_of(33, "NEW_STOP")["safety mode"][1].endswith("does not know; the dashboard says new stop")
+    assert lines_of(1, "FAULT")["safety mode"] == (Verdict.WRONG, "normal; the pendant says fault")
+    assert lines_of(33, "NEW_STOP")["safety mode"][1].endswith("does not know; the pendant says new stop")
 
 
 def test_a_mode_is_a_stop_unless_the_arm_may_move() -> None:

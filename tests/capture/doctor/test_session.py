@@ -13,7 +13,6 @@ from koala3d.capture.doctor.examine import examination, examine
 from koala3d.capture.doctor.lines import Verdict
 from koala3d.capture.drivers.errors import NotReady
 from koala3d.capture.drivers.ur.dashboard import Dashboard
-from koala3d.capture.drivers.ur.link import Deadlines
 from koala3d.capture.drivers.ur.robot import UniversalRobot
 from koala3d.capture.model.rig import RigDescription
 from koala3d.capture.rig.controllers import write_simulated_rig
@@ -31,8 +30,6 @@ split: null
 object: {centre: [0.4, 0.0, 0.1], size: [0.2, 0.2, 0.2]}
 camera: {exposure_us: 10000, binning: 4, width: 48, height: 48}
 """
-BUSY = Deadlines(stale_s=1.0, watchdog_hz=1.0)
-"""Tests run beside others on two cores: a pause of half a second is no fault there."""
 
 
 @pytest.fixture
@@ -86,20 +83,20 @@ def test_a_session_for_a_hanging_arm_is_refused_on_a_standing_one(simulated, tmp
 def test_a_program_that_runs_is_reported_and_left_alone_unless_taken_over(simulated, program, tmp_path):
     simulated.ask("install", program=program)
     with pytest.raises(NotReady, match=f"left alone.*{program} palletizing.*--take-over"):
-        with UniversalRobot(simulated.host, deadlines=BUSY, client="koala"):
+        with UniversalRobot(simulated.host, client="koala"):
             pass
     with pytest.raises(NotReady, match=f"program: {program} palletizing"):
         examination(tmp_path / "rec", 1, True, False)(RigDescription(), simulated.host, True)
     assert state(simulated.host) == f"{program} palletizing.urp"
     examination(tmp_path / "rec", 1, True, True)(RigDescription(), simulated.host, True)
-    with UniversalRobot(simulated.host, deadlines=BUSY, client="koala", take_over=True) as robot:
+    with UniversalRobot(simulated.host, client="koala", take_over=True) as robot:
         assert "palletizing" not in state(simulated.host)
         assert robot.description()["model"] == "UR5e"
 
 
 def test_the_model_that_is_recorded_is_the_one_that_stands_there(simulated):
     simulated.ask("install", model="ur10e")
-    with UniversalRobot(simulated.host, deadlines=BUSY, client="koala") as robot:
+    with UniversalRobot(simulated.host, client="koala") as robot:
         assert robot.description()["model"] == "UR10e"
 
 
@@ -119,6 +116,47 @@ def test_the_commands(run_inside, simulated, tmp_path: Path):
     simulated.ask("install")
     good = capture("doctor", "--rig", rig, "--seconds", 0.2, "--json")
     assert good.returncode == 0 and {line["verdict"] for line in json.loads(good.stdout)["lines"]} == {"ok", "unknown"}
+
+
+def test_a_line_that_is_ignored_is_shown_and_the_recording_keeps_it(run_inside, simulated, tmp_path: Path, caplog):
+    capture = partial(run_inside, main, "capture")
+    rig, out, small = tmp_path / "rig.yaml", tmp_path / "rec", tmp_path / "small.yaml"
+    small.write_text(SESSION)
+    write_simulated_rig(rig, simulated, "shiny_ball", 3)
+    simulated.ask("install", payload_kg=0.0, up=[0.0, 0.2, 0.98])
+    both = ["--ignore", "payload", "--ignore", "mounting"]
+    done = capture("doctor", "--rig", rig, "--seconds", 0.2, *both)
+    rows = {line[:17].strip(): line[17:].split()[0] for line in done.stdout.splitlines()}
+    assert done.returncode == 0 and {name for name, verdict in rows.items() if verdict == "ignored"} == {"payload", "mounting"}
+    refused = capture("run", small, "--rig", rig, "--out", out, "--ignore", "payload")
+    assert refused.returncode == 1 and "mounting: " in refused.stderr and not out.exists()
+    taken = capture("run", small, "--rig", rig, "--out", out, *both)
+    assert taken.returncode == 0, taken.stderr
+    assert "payload: none entered; ignored" in caplog.text
+    kept = json.loads((out / "manifest.json").read_text())["ignored_checks"]
+    assert kept.keys() == {"payload", "mounting"} and kept["payload"] == "none entered"
+    assert capture("replay", out, "--rig", rig).returncode == 1
+    assert capture("replay", out, "--rig", rig, *both).returncode == 0
+
+
+def test_an_unknown_line_cannot_be_ignored(run_inside, simulated, tmp_path: Path):
+    capture = partial(run_inside, main, "capture")
+    rig = tmp_path / "rig.yaml"
+    write_simulated_rig(rig, simulated, "shiny_ball", 3)
+    refused = capture("doctor", "--rig", rig, "--seconds", 0.2, "--ignore", "pay load")
+    assert refused.returncode == 2 and "no line of 'capture doctor' is called 'pay load'" in refused.stderr
+    assert "the lines are RTDE, primary interface," in refused.stderr and "speed slider" in refused.stderr
+
+
+def test_a_resumed_session_adds_what_it_ignores(run_inside, simulated, tmp_path: Path):
+    capture = partial(run_inside, main, "capture")
+    rig, out, small = tmp_path / "rig.yaml", tmp_path / "rec", tmp_path / "small.yaml"
+    small.write_text(SESSION)
+    write_simulated_rig(rig, simulated, "shiny_ball", 3)
+    assert capture("run", small, "--rig", rig, "--out", out).returncode == 0
+    simulated.ask("install", payload_kg=0.0)
+    assert capture("run", small, "--rig", rig, "--out", out, "--resume", "--ignore", "payload").returncode == 0
+    assert json.loads((out / "manifest.json").read_text())["ignored_checks"] == {"payload": "none entered"}
 
 
 def test_a_replay_begins_with_the_doctor_and_needs_the_recorded_arm(run_inside, simulated, tmp_path: Path):

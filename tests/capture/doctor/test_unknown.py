@@ -32,7 +32,7 @@ def simulated() -> Iterator[SimulatedController]:
 
 
 def examined(host: str, rig: RigDescription = RIG, **options: Any) -> list[Line]:
-    settings = {"folder": Path(), "needed": 1.0, "seconds": 0.05, "longest_gap_s": GAP_S, "rate": None, **options}
+    settings = {"folder": Path(), "needed": 1.0, "seconds": 0.25, "longest_gap_s": GAP_S, "rate": None, **options}
     return examine_arm(host, rig, **settings)
 
 

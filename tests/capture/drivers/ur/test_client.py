@@ -21,7 +21,7 @@ def opened(monkeypatch):
     class Opened:
         kind = ""
 
-        def __init__(self, *options):
+        def __init__(self, *options, **more):
             names.append(self.kind)
 
     monkeypatch.setattr(koala_client, "KoalaClient", type("Koala", (Opened,), {"kind": "koala"}))
@@ -33,16 +33,16 @@ def opened(monkeypatch):
 
 @pytest.mark.parametrize(("choice", "taken"), [("auto", "ur_rtde"), ("ur_rtde", "ur_rtde"), ("koala", "koala")])
 def test_the_vendors_client_is_the_default(opened, choice, taken):
-    open_client(choice, "127.0.0.1", 125.0, 5.0)
+    open_client(choice, "127.0.0.1", 125.0, 5.0, "lower")
     assert opened == [taken]
 
 
 def test_without_it_ours_is_taken_or_the_reason_is_given(opened, monkeypatch):
     monkeypatch.setitem(sys.modules, "koala3d.capture.drivers.ur.vendor_client", None)
-    open_client("auto", "127.0.0.1", 125.0, 5.0)
+    open_client("auto", "127.0.0.1", 125.0, 5.0, "lower")
     assert opened == ["koala"]
     with pytest.raises(StartError, match="ur-rtde is not installed") as caught:
-        open_client("ur_rtde", "127.0.0.1", 125.0, 5.0)
+        open_client("ur_rtde", "127.0.0.1", 125.0, 5.0, "lower")
     assert caught.value.failure is StartFailure.MISSING
 
 

@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from koala3d.capture.drivers.errors import (
     CaptureError,
     MotionError,
     NotReady,
+    NotSettled,
     ProtectiveStop,
     RigConnectionError,
     SafetyError,
@@ -23,6 +23,7 @@ from koala3d.capture.drivers.errors import (
 )
 from koala3d.capture.drivers.ur.client import versioned
 from koala3d.capture.drivers.ur.koala_client import KoalaClient
+from koala3d.capture.drivers.ur.link import Deadlines
 from koala3d.capture.drivers.ur.robot import UniversalRobot
 from koala3d.capture.drivers.ur.settling import Settling
 from koala3d.capture.model.kinematics import forward
@@ -38,6 +39,8 @@ VENDORS = pytest.mark.client("ur_rtde")
 REST = 1e-6
 """By how much joints at rest may miss their goals [rad]."""
 GOALS = np.array([[0.2, -1.4, 0.9, -1.5, -1.5, 0.2], [0.5, -1.2, 1.2, -1.5, -1.2, 0.4], [0.1, -1.3, 1.0, -1.8, -1.5, -0.2]])
+LATE_WATCHDOG = Deadlines(accept_s=0.3, watchdog_hz=0.5)
+"""An order that is not accepted is noticed before the watchdog ends the program."""
 SET_TCP: Any = 29
 """A command of the simulated controller, which the driver never sends."""
 
@@ -182,13 +185,13 @@ def test_a_stop_between_motions_and_before_entering_again_holds(connect, simulat
 
 @VENDORS
 def test_another_reply_than_stopped_is_no_stop_and_the_message_says_how_the_arm_moves(connect, slow):
-    with pytest.raises(MotionError) as caught, connect(slow) as robot:
+    with pytest.raises(MotionError) as caught, connect(slow, deadlines=LATE_WATCHDOG) as robot:
         slow.ask("refuse_stop")
         slow.ask("ignore_commands")
-        robot.deadlines = replace(robot.deadlines, accept_s=0.3)
         robot.move_to(FAR, **UNHURRIED)
     line = str(caught.value)
-    words = r"refuses to stop its program \('Failed to execute: stop'\); the arm stood still \d+\.\d s ago.*stop it there"
+    words = r"refused to stop its program, which still runs \('Failed to execute: stop'\); the arm stood still \d+\.\d s ago"
+    words += ".*press the emergency stop"
     assert re.search(words, line), line
 
 
@@ -216,20 +219,56 @@ def test_an_arm_with_noisy_encoders_settles(connect):
     assert np.diff([state.robot_time_s for state in states]).min() > 0
 
 
-def test_an_arm_that_never_rests_names_its_spread_and_the_key(connect):
-    with pytest.raises(MotionError, match=r"does not come to rest: its joints vary by .* limit 1\.0e-09.*motion\.settle_spread"):
-        with SimulatedController.start(time_scale=20.0, noise_rad=1e-5) as noisy, connect(noisy) as robot:
-            robot.settling = Settling(spread=1e-9, timeout_s=0.5)
+def test_an_arm_that_never_rests_names_its_noise_and_the_key_and_can_be_moved_again(connect):
+    words = r"does not come to rest \(its joints vary by .*, at rest by 0\.0e\+00\); .*motion\.settle_spread"
+    with SimulatedController.start(time_scale=20.0, noise_rad=1e-5) as noisy, connect(noisy) as robot:
+        robot.settling, robot.noise = Settling(spread=1e-9, timeout_s=0.5), 0.0
+        with pytest.raises(NotSettled, match=words):
             robot.move_to(robot.state().joints + 0.02, speed=1.0, acceleration=1.4)
+        robot.settling = Settling()
+        robot.move_to(robot.state().joints + 0.02, speed=1.0, acceleration=1.4)
+
+
+@pytest.mark.parametrize("noise", [1e-6, 1e-5, 4e-5])
+def test_the_noise_of_the_encoders_is_measured_and_does_not_keep_the_arm_from_settling(connect, noise):
+    with SimulatedController.start(seed=3, time_scale=4.0, noise_rad=noise) as simulated, connect(simulated) as robot:
+        assert robot.noise == pytest.approx(noise, rel=0.5)  # 60 samples or more, the noisiest of six joints
+        robot.settling = Settling()
+        for goal in GOALS:
+            robot.move_to(goal, speed=1.0, acceleration=1.4)
+
+
+@VENDORS
+@pytest.mark.parametrize("blind", [False, True])
+def test_no_program_is_said_to_run_only_if_rtde_says_so_too(connect, slow, blind):
+    """A dashboard that knows nothing of uploaded programs refuses to stop them and calls them stopped."""
+    with pytest.raises(MotionError) as caught, connect(slow, deadlines=LATE_WATCHDOG) as robot:
+        if blind:
+            slow.ask("refuse_stop", blind=True)
+            slow.ask("ignore_commands")
+        else:
+            slow.ask("stop_program")
+        robot.move_to(FAR, **UNHURRIED)
+    assert ("which still runs" in str(caught.value)) == ("press the emergency stop" in str(caught.value)) == blind
+    assert ("runs no program" in str(caught.value)) == (not blind)
+
+
+def test_a_fieldbus_that_owns_the_lower_registers_is_named_with_the_remedy(changed):
+    pytest.importorskip("rtde_control", reason="ur-rtde is not installed: it has no wheel for this Python and platform")
+    changed.ask("install", fieldbus=True)
+    with pytest.raises(CaptureError, match=r"registers 0 to 23, use robot\.registers: upper"):
+        UniversalRobot(changed.host, client="ur_rtde").__enter__()
+    with UniversalRobot(changed.host, client="ur_rtde", registers="upper") as robot:
+        robot.move_to(GOALS[0], speed=1.0, acceleration=1.4)
+        np.testing.assert_allclose(robot.state().joints, GOALS[0], atol=REST)
 
 
 @pytest.mark.both_clients
 def test_the_arm_stops_when_the_whole_program_is_killed(client, slow):
     code = """if True:
         import sys
-        from koala3d.capture.drivers.ur.link import Deadlines
         from koala3d.capture.drivers.ur.robot import UniversalRobot
-        with UniversalRobot(sys.argv[1], client=sys.argv[2], deadlines=Deadlines(stale_s=1.0, watchdog_hz=1.0)) as robot:
+        with UniversalRobot(sys.argv[1], client=sys.argv[2]) as robot:
             print("ready", flush=True)
             robot.move_to([2.0, -1.2, 0.8, -1.5, -1.0, 0.2], speed=0.4, acceleration=1.4)
     """
@@ -239,6 +278,29 @@ def test_the_arm_stops_when_the_whole_program_is_killed(client, slow):
     program.kill()
     program.communicate()
     assert stopped_on_its_way(slow)
+
+
+@pytest.mark.both_clients
+@pytest.mark.parametrize(("seconds", "goes_on"), [(0.6, True), (4.0, False)])
+def test_a_program_that_is_not_served_for_a_moment_goes_on_and_one_that_hangs_is_stopped(client, slow, seconds, goes_on):
+    """The client's process keeps the watchdog content while its parent does nothing, for a second or two."""
+    code = """if True:
+        import sys
+        from koala3d.capture.drivers.ur.robot import UniversalRobot
+        with UniversalRobot(sys.argv[1], client=sys.argv[2]) as robot:
+            print("ready", flush=True)
+            robot.move_to([2.0, -1.2, 0.8, -1.5, -1.0, 0.2], speed=0.4, acceleration=1.4)
+    """
+    program = subprocess.Popen([sys.executable, "-c", code, slow.host, client], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert program.stdout is not None and program.stdout.readline() == b"ready\n"
+    until(lambda: moves(slow), "the middle of its motion")
+    program.send_signal(signal.SIGSTOP)
+    time.sleep(seconds)
+    still = rests(slow)
+    program.send_signal(signal.SIGCONT)
+    _, words = program.communicate(timeout=60)
+    assert (still, program.returncode == 0) == (not goes_on, goes_on), words
+    assert stopped_on_its_way(slow) == (not goes_on)
 
 
 def test_the_same_seed_gives_the_same_poses_bit_for_bit(connect):

@@ -17,6 +17,7 @@ def controller():
         arm=SimulatedArm(0, np.zeros(6), 0.0, 0.0),
         installed=Installation(version=(5, 11, 5, 7)),
         unstoppable=False,
+        blind=False,
         program_running=True,
         program_paused=False,
         stopped=0,

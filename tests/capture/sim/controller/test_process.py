@@ -83,7 +83,7 @@ def test_a_computer_with_one_loopback_address_uses_that(monkeypatch):
         return SimpleNamespace(close=lambda: None, sockets=[SimpleNamespace(getsockname=lambda: (host, 4711))])
 
     monkeypatch.setattr(asyncio, "start_server", start_server)
-    server = SimpleNamespace(serve_rtde=None, serve_script=None, serve_dashboard=None)
+    server = SimpleNamespace(serve_rtde=None, serve_script=None, serve_dashboard=None, serve_robot_api=None)
     assert asyncio.run(_child._listen(server, "")) == ("127.0.0.1", 4711)  # type: ignore[arg-type]
     assert len(set(tried)) > 10
     with pytest.raises(OSError, match="not here"):

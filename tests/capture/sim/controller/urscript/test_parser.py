@@ -4,7 +4,6 @@ import itertools
 
 import pytest
 
-from koala3d.capture.drivers.ur.link import Deadlines
 from koala3d.capture.drivers.ur.robot import UniversalRobot
 from koala3d.capture.drivers.ur.rtde import program
 from koala3d.capture.sim.controller.process import SimulatedController
@@ -153,7 +152,7 @@ def test_a_statement_outside_a_program_is_refused() -> None:
 @pytest.mark.both_clients
 def test_what_a_client_uploads_compiles_and_nothing_in_it_can_be_left_out(client: str) -> None:
     with SimulatedController.start() as simulated:
-        with UniversalRobot(simulated.host, client=client, deadlines=Deadlines(stale_s=1.0, watchdog_hz=1.0)):
+        with UniversalRobot(simulated.host, client=client):
             text = simulated.ask("program")["text"]
     check(text)
     assert client == "ur_rtde" or text == program.text()
