@@ -45,7 +45,7 @@ def solve(viewpoint: Viewpoint, obstacles: Obstacles) -> Solutions:
     assert viewpoint.base_from_camera is not None  # a viewpoint has either
     carrier = obstacles.carrier
     flanges = [obstacles.flange_for(_turned(viewpoint.base_from_camera, roll)) for roll in viewpoint.rolls]
-    branches = [carrier.arm.inverse(base_from_flange) for base_from_flange in flanges]
+    branches = [carrier.inverse(base_from_flange) for base_from_flange in flanges]
     joints = np.concatenate(branches)
     rolls = np.repeat(np.arange(len(branches)), [len(b) for b in branches])
     if not len(joints):
@@ -63,7 +63,7 @@ def solve(viewpoint: Viewpoint, obstacles: Obstacles) -> Solutions:
     if (sight < 0).all():
         hiding = obstacles.hiding(joints[int(sight.argmax())])
         return Solutions(viewpoint, joints, rolls, f"{hiding} hides the object from the camera")
-    keep = (sight >= 0) & (kinematics.singularity(joints, carrier.arm.links) >= MIN_SINGULARITY)
+    keep = (sight >= 0) & (kinematics.singularity(joints, carrier.links) >= MIN_SINGULARITY)
     if not keep.any():
         return Solutions(viewpoint, joints, rolls, "only next to a singular configuration")
     return _with_turns(viewpoint, joints[keep], rolls[keep], carrier)
