@@ -123,9 +123,9 @@ def _described(
     """What to report of a plan, which is drawn if that is asked for."""
     import numpy as np
 
-    from koala3d.capture.planning import Obstacles, draw, duration
+    from koala3d.capture.planning import Obstacles, draw, duration, fastest
 
-    seconds = duration(session, planned, mount.turntable)
+    seconds, speed = duration(session, planned, mount), fastest(session, planned, mount)
     drawings = [(write, path) for write, path in ((draw.plot, plot), (draw.page, page)) if path is not None]
     for write, path in drawings:
         title = f"{session.name}: {len(planned)} views, about {seconds:.0f} s"
@@ -135,8 +135,10 @@ def _described(
     wound = f"; the cable is wound up by at most {turns:.2f} of {most:g} turns" if most else ""
     splits = Counter(view.viewpoint.split for view in planned)
     parts = ", ".join(f"{count} {split}" for split, count in splits.items())
-    text = f"{session.name}: all {len(planned)} views can be taken ({parts}), in about {seconds:.0f} s{wound}{drawn}"
+    moving = f"; the fastest point moves at {speed:.2f} m/s, limit {mount.max_tool_speed:g}"
+    text = f"{session.name}: all {len(planned)} views can be taken ({parts}), in about {seconds:.0f} s{moving}{wound}{drawn}"
     found = {"name": session.name, "views": len(planned), "splits": splits, "seconds": round(seconds, 1)}
+    found |= {"fastest_point_m_s": round(speed, 4)}
     return text, {**found, "cable_turns": round(turns, 3), "plot": plot, "page": page}
 
 

@@ -43,18 +43,26 @@ BODY = (
 
 
 class Cable(Schema):
-    """The camera's cable: how far it may be wound around the arm."""
+    """The camera's cable: how far joints may wind it up.
 
-    max_turns: float = Field(gt=0, le=20, description="most turns by which the cable may be wound up, summed over its joints")
-    joints: list[int] = Field(default=[], description="numbers of the joints that wind it, from 1; empty: the last joint")
+    The first joint winds it around the base and the last one around the wrist; those between bend it. Half a turn to either side takes
+    no view away: whole turns bring each joint of each configuration to within half a turn of its rest.
+    """
+
+    max_turns: float = Field(
+        default=0.5, gt=0, le=20, description="most turns by which each of its joints may wind it up, to either side of its rest"
+    )
+    joints: list[int] = Field(
+        default=[], description="numbers of the joints that wind it, from 1; empty: the first and the last joint"
+    )
     rest_deg: list[float] = Field(default=[], description="their angles where the cable is not wound; empty: zero")
 
     def turns(self, joints: ArrayLike) -> Array:
-        """(...) turns by which the cable is wound at (..., n) joint angles [rad]: the travel of its joints from their rest."""
+        """(...) turns by which the cable is wound at (..., n) joint angles [rad], by the joint that is farthest from its rest."""
         joints = np.asarray(joints, np.float64)
-        winding = [number - 1 for number in self.joints] or [joints.shape[-1] - 1]
+        winding = [number - 1 for number in self.joints] or [0, joints.shape[-1] - 1]
         rest = np.radians(self.rest_deg or np.zeros(len(winding)))
-        return np.asarray(np.abs(joints[..., winding] - rest).sum(-1) / (2 * np.pi))
+        return np.asarray(np.abs(joints[..., winding] - rest).max(-1) / (2 * np.pi))
 
 
 PLATE_RADIUS = 0.02  # of the capsules that make up a plate on the flange [m]

@@ -1,7 +1,7 @@
 """The plan of a session: joint angles for every view, and the paths between them."""
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,7 +32,8 @@ def plan(trajectory: Trajectory, mount: Carrier, *, without: Collection[str] = (
     """Joint angles for every view of a trajectory, in the order of capture, with collision-free paths between them.
 
     The order is that of the trajectory, or with `motion.order` "shortest" another one if it saves time. The result depends
-    only on the arguments, so that a session can be repeated and resumed.
+    only on the arguments, so that a session can be repeated and resumed. The limit of the cable decides how the arm takes a view,
+    and never how the picture is rolled if it can be helped: rigs with and without a limit take the same pictures.
 
     Args:
         mount: the arm and its camera.
@@ -43,24 +44,34 @@ def plan(trajectory: Trajectory, mount: Carrier, *, without: Collection[str] = (
         PlanningError: no path between two views was found.
     """
     obstacles = Obstacles.of(trajectory, mount)
-    solved = [solve(viewpoint, obstacles) for viewpoint in trajectory.viewpoints() if viewpoint.name not in without]
+    loose = replace(obstacles, carrier=replace(mount, cable=None))
+    solved = [solve(viewpoint, loose) for viewpoint in trajectory.viewpoints() if viewpoint.name not in without]
+    _require_reached(solved, trajectory.name)
+    chosen, cost = shortest([one.joints for one in solved], loose)
+    if trajectory.motion.order == "shortest":
+        order = short_order(np.stack([one.viewpoint.camera_pose(obstacles.carrier) for one in solved]))
+        reordered = [solved[index] for index in order]
+        other, other_cost = shortest([one.joints for one in reordered], loose)
+        if other_cost < cost:
+            chosen, solved = other, reordered
+    if mount.cable is not None and not all(mount.permitted(one.joints[i]) for one, i in zip(solved, chosen, strict=True)):
+        solved = [one.within(mount, roll=int(one.rolls[index])) for one, index in zip(solved, chosen, strict=True)]
+        _require_reached(solved, trajectory.name)
+        chosen, _ = shortest([one.joints for one in solved], obstacles)
+    return _with_paths(solved, chosen, obstacles)
+
+
+def _require_reached(solved: list[Solutions], where: str) -> None:
+    """Raise UnreachableError if views have no solution."""
     failures = [f"{one.viewpoint.name}: {one.reason}" for one in solved if one.reason]
     if failures:
         more = f"; and {len(failures) - SHOWN} more" if len(failures) > SHOWN else ""
         raise UnreachableError(
             f"{len(failures)} of {len(solved)} views cannot be taken",
-            where=trajectory.name,
+            where=where,
             why="; ".join(failures[:SHOWN]) + more,
             remedy="move the target, change distance or elevation, or allow more values of roll_deg",
         )
-    chosen, cost = shortest([one.joints for one in solved], obstacles)
-    if trajectory.motion.order == "shortest":
-        order = short_order(np.stack([one.viewpoint.camera_pose(obstacles.carrier) for one in solved]))
-        reordered = [solved[index] for index in order]
-        other, other_cost = shortest([one.joints for one in reordered], obstacles)
-        if other_cost < cost:
-            chosen, solved = other, reordered
-    return _with_paths(solved, chosen, obstacles)
 
 
 def _with_paths(solved: list[Solutions], chosen: list[int], obstacles: Obstacles) -> list[PlannedView]:

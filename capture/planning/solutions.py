@@ -26,6 +26,14 @@ class Solutions:
     rolls: NDArray[np.int64]  # (m,) index of the roll of the view that each of them takes
     reason: str = ""  # why none of them can be used; empty if all can
 
+    def within(self, mount: Carrier, roll: int) -> "Solutions":
+        """Those within the limit of the cable: with this roll if there are any, else with any roll; without any, the reason."""
+        permitted = mount.permitted(self.joints)
+        keep = permitted & (self.rolls == roll)
+        keep = keep if keep.any() else permitted
+        reason = "" if keep.any() else mount.forbidden(self.joints[int(mount.wound(self.joints).argmin())])
+        return Solutions(self.viewpoint, self.joints[keep], self.rolls[keep], reason)
+
     def taken_by(self, index: int, mount: Carrier) -> Viewpoint:
         """The view with the camera pose that one of the configurations reaches."""
         wanted = self.viewpoint

@@ -84,7 +84,7 @@ def test_a_flange_turns_with_its_links() -> None:
 
 
 def test_links_of_another_arm_are_refused() -> None:
-    with pytest.raises(UsageError, match="not those of a UR5e.*flange is"):
+    with pytest.raises(UsageError, match=r"not those of a UR5e.*flange is"):
         BuiltArm(UR5E, load_arm("ur3e").links)
     with pytest.raises(UsageError, match="7 joints"):
         BuiltArm(UR5E, load_arm("panda").links)

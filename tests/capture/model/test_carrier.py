@@ -82,10 +82,13 @@ def test_a_camera_that_reaches_into_a_link_hits_it(part: str) -> None:
 
 
 def test_the_cable_limits_the_turns_of_its_joints() -> None:
-    cable = Cable(max_turns=0.75)
-    np.testing.assert_allclose(cable.turns(np.radians([[0] * 5 + [180.0], [90.0] * 5 + [-270.0]])), [0.5, 0.75])
-    both = Cable(max_turns=1.0, joints=[5, 6], rest_deg=[-90, 0])
-    assert both.turns(np.radians([0, 0, 0, 0, -90, 0.0])) == 0 and both.turns(np.radians([0, 0, 0, 0, 90, -90.0])) == 0.75
+    """By default the first and the last joint: each by half a turn to either side. The others bend the cable."""
+    cable = Cable()
+    angles = np.radians([[0, 300, 300, 300, 300, 180.0], [-198, 0, 0, 0, 0, 90], [90, 0, 0, 0, 0, -270]])
+    np.testing.assert_allclose(cable.turns(angles), [0.5, 0.55, 0.75])
+    assert carrier(cable=cable).permitted(angles - 1e-9).tolist() == [True, False, False]
+    both = Cable(joints=[5, 6], rest_deg=[-90, 0])
+    assert both.turns(np.radians([300, 0, 0, 0, -90, 0.0])) == 0 and both.turns(np.radians([0, 0, 0, 0, 90, -90.0])) == 0.5
 
 
 def test_a_view_that_would_wind_up_the_cable_is_refused_with_the_turns() -> None:
