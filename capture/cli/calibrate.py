@@ -5,7 +5,8 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from koala3d.capture.cli.options import RigName, Scene, Seed, Settings, TakeOver, TimeScale
+from koala3d.capture.cli.confirm import asker
+from koala3d.capture.cli.options import Confirm, RigName, Scene, Seed, Settings, Slow, TakeOver, TimeScale
 from koala3d.datasets.core import console
 
 GOAL, ARM = "When it ends", "Arm and lens"
@@ -41,6 +42,8 @@ def calibrate(
     time_scale: TimeScale = 20.0,
     resume: Annotated[bool, Option("--resume", help="Continue an interrupted session.")] = False,
     take_over: TakeOver = False,
+    slow: Slow = 1.0,
+    confirm: Confirm = False,
     settings: Settings = None,
     as_json: console.Json = False,
 ) -> None:
@@ -64,7 +67,7 @@ def calibrate(
         refuse_existing(out)
     goal = AccuracyGoal((until_mm, until_deg), max_views)
     arm = ["--arm-mm", str(arm_mm), "--arm-deg", str(arm_deg), "--lens", lens]
-    options = SessionOptions(rig, scene, seed, time_scale, take_over=take_over, resume=resume)
+    options = SessionOptions(rig, scene, seed, time_scale, take_over=take_over, resume=resume, slow=slow, ask=asker(confirm))
     try:
         outcome = session.run(room, out, goal, options, arm, show=lambda views, answer: session.show(views, answer, goal.until))
     except KeyboardInterrupt:

@@ -17,6 +17,7 @@ from koala3d.capture.model.turntable import LampDescription, TurntableDescriptio
 from koala3d.datasets import pose
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.core.schema import Schema, load_yaml, validate
+from koala3d.datasets.kinematics import Links
 from koala3d.datasets.recording import MANIFEST, Recording
 
 Three = tuple[float, float, float]
@@ -261,8 +262,10 @@ def recorded_rig(recording: Recording) -> RigDescription:
 
 
 def recorded_carrier(recording: Recording) -> Carrier:
-    """The arm of a recording with its camera."""
-    return recorded_rig(recording).carrier(recorded_arm(recording))
+    """The arm of a recording with its camera, and with its own links if the recording has them."""
+    content = recording.manifest.get("links")
+    links = None if content is None else Links.from_json(content, where=f"{recording.path / MANIFEST}, links")
+    return recorded_rig(recording).carrier(recorded_arm(recording)).as_built(links)
 
 
 def load_rig(path: Path | str) -> RigDescription:

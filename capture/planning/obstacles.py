@@ -3,7 +3,7 @@
 Lengths in metres, base frame.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -15,6 +15,7 @@ from koala3d.capture.model.parts import Shape
 from koala3d.capture.model.trajectory import Trajectory
 from koala3d.capture.model.turntable import required
 from koala3d.capture.planning.swept import Sweep
+from koala3d.datasets.kinematics import Links
 
 Array = NDArray[np.float64]
 
@@ -56,6 +57,10 @@ class Obstacles:
             up=trajectory.upwards,
             base_from_middle=trajectory.base_from_middle,
         )
+
+    def as_built(self, links: Links | None) -> "Obstacles":
+        """The same for an arm with its own links; see `Carrier.as_built`."""
+        return replace(self, carrier=self.carrier.as_built(links))
 
     def flange_for(self, base_from_camera: Array) -> Array:
         """(4, 4) flange pose [m] for a wanted camera pose; see `Carrier.flange_for`."""

@@ -34,6 +34,7 @@ def manifest_of(trajectory: Trajectory, rig: Rig) -> dict[str, Any]:
         "trajectory": trajectory.model_dump(mode="json"),
         "rig": {"name": rig.name, **rig.description.model_dump(mode="json")},
         "arm": rig.carrier.arm.model_dump(mode="json"),
+        "links": None if rig.links is None else rig.links.to_json(),
         "camera": {**rig.camera.description(), "lens": rig.description.camera.lens},
         "robot": rig.robot.description(),
         "turntable": None if rig.turntable is None else rig.turntable.description(),

@@ -89,8 +89,8 @@ def _record(
             follows = index > 0 and previous == planned[index - 1].viewpoint.name
             path = view.path if follows else connect(rig.robot.state().joints, view.joints, obstacles, where=f"view {name}")
             stays = follows and np.array_equal(view.joints, planned[index - 1].joints)
-            for joints in [] if stays else path:
-                rig.robot.move_to(joints, speed=motion.speed, acceleration=motion.acceleration)
+            if not stays:
+                rig.moves.along(rig.robot, path, motion, obstacles, view=f"view {name}")
             _turn(rig, view)
             arrived_ns = time.monotonic_ns()
             previous = name

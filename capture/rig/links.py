@@ -1,0 +1,67 @@
+"""The links of an arm as it was built: those that its controller reports, and a copy beside the rig file, for plans without it.
+
+For `my_rig.yaml` the copy is `my_rig.links.json`. `capture doctor` writes it.
+"""
+
+import logging
+from pathlib import Path
+from typing import Any
+
+from koala3d import configs
+from koala3d.capture.drivers.ur.primary import listen
+from koala3d.capture.model.built import BuiltArm
+from koala3d.capture.model.rig import RigDescription
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.kinematics import Links
+
+log = logging.getLogger(__name__)
+FORMAT, VERSION = "koala-links", 1
+
+
+def reported_links(description: RigDescription, host: str) -> Links | None:
+    """The calibrated links that the controller at `host` reports; None, with a warning, where it says none.
+
+    Arms of other makers have no controller that Koala speaks to. Raises UsageError: they are those of another model.
+    """
+    if description.arm.family != "ur":
+        return None
+    try:
+        found = listen(host).links
+    except (OSError, ValueError):
+        found = None
+    if found is None:
+        nominal = f"plans use the nominal ones of the {description.arm.name}"
+        log.warning("%s does not say its calibrated links: %s, from which a real arm differs by millimetres", host, nominal)
+        return None
+    return BuiltArm(description.arm, found).links
+
+
+def links_path(rig: str) -> Path | None:
+    """Where the links of a rig are kept; None for one that is no file of the user's."""
+    path = Path(rig)
+    mine = (
+        path.suffix in (".yaml", ".yml") and path.is_file() and not path.resolve().is_relative_to(Path(configs.__file__).parent)
+    )
+    return path.with_suffix(".links.json") if mine else None
+
+
+def store_links(rig: str, description: RigDescription, links: Links) -> Path | None:
+    """Write the links beside the rig file; None for a rig that is no file of the user's."""
+    path = links_path(rig)
+    if path is not None:
+        content = {"format": FORMAT, "version": VERSION, "model": description.arm.name, "links": links.to_json()}
+        files.write_json(path, content)
+    return path
+
+
+def stored_links(rig: str, description: RigDescription) -> Links | None:
+    """The links that are kept beside a rig file; None where none are. Raises UsageError: they are those of another model."""
+    path = links_path(rig)
+    if path is None or not path.is_file():
+        return None
+    content: dict[str, Any] = files.read_json(path)
+    if content.get("format") != FORMAT or content.get("version") != VERSION:
+        remedy = "remove it; 'capture doctor' writes a new one"
+        raise UsageError(f"is not a {FORMAT} file of version {VERSION}", where=path, remedy=remedy)
+    return BuiltArm(description.arm, Links.from_json(content.get("links"), where=path)).links
