@@ -84,6 +84,7 @@ def plan(
     """
     from koala3d.capture.model.trajectory import load_trajectory
     from koala3d.capture.planning import plan as plan_session
+    from koala3d.capture.rig.links import links_path, stored_links
     from koala3d.capture.rig.naming import describe
     from koala3d.datasets.core.errors import UsageError
     from koala3d.datasets.core.files import refuse_existing
@@ -100,8 +101,10 @@ def plan(
         if path is not None:
             refuse_existing(path)
     session = load_trajectory(trajectory or DEFAULT, overrides=settings)
-    mount, words, found = describe(rig).carrier(), "", {}
-    describe(rig).lights_on(session.lights)
+    description, words, found = describe(rig), "", {}
+    links = stored_links(rig, description)
+    mount = description.carrier().as_built(links)
+    description.lights_on(session.lights)
     if for_mesh is not None:
         limits = (1.0 if until_coverage is None else until_coverage, views)
         session, words, found = _covering(session, mount, for_mesh, mesh_scale, limits, calibration, out)
@@ -114,7 +117,9 @@ def plan(
         known = None if calibration is None else Calibration.load(calibration)
         shares = measured.of_plan(session, mount, planned, coverage, mesh_scale, known)
         text, found = "\n".join([text, *measured.lines(shares)]), {"covered": shares[-1], "covered_after": shares}
-    console.report({**facts, **found}, as_json=as_json, text=f"{words}{text}")
+    whose = links_path(rig) if links is not None else f"nominal, of the {mount.arm.name}"
+    facts |= {"links": "nominal" if links is None else "as built"}
+    console.report({**facts, **found}, as_json=as_json, text=f"{words}{text}\nlinks of the arm: {whose}")
 
 
 def _described(

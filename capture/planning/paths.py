@@ -88,7 +88,8 @@ def are_free(starts: Joints, goals: Joints, obstacles: Obstacles) -> NDArray[np.
     """
     free = obstacles.free(goals)
     floor = np.minimum(obstacles.margin(starts), 0.0)
-    pieces = _Pieces.of(starts, goals).kept(free[_Pieces.of(starts, goals).path])
+    pieces = _Pieces.of(starts, goals)
+    pieces = pieces.kept(free[pieces.path])
     while len(pieces.path):
         here, least, moved = pieces.margins(obstacles)
         allowed = np.where(pieces.leaving, floor[pieces.path], 0.0)

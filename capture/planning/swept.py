@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 STEP_RAD = 0.02  # of the fastest joint, between two configurations at which speeds are measured
-BETWEEN = 1.002  # by which a speed between two of them may exceed theirs; 0.1 % has been seen at steps of twice the length
+BETWEEN = 1.001  # by which a speed between two of them may exceed theirs; in 300 random moves of a UR5e it did by 7e-5
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,17 +24,18 @@ def reported_links(description: RigDescription, host: str) -> Links | None:
 
     Arms of other makers have no controller that Koala speaks to. Raises UsageError: they are those of another model.
     """
-    if description.arm.family != "ur":
-        return None
-    try:
-        found = listen(host).links
-    except (OSError, ValueError):
-        found = None
-    if found is None:
+    found = _links(description, host)
+    if found is None and description.arm.family == "ur":
         nominal = f"plans use the nominal ones of the {description.arm.name}"
         log.warning("%s does not say its calibrated links: %s, from which a real arm differs by millimetres", host, nominal)
+    return None if found is None else BuiltArm(description.arm, found).links
+
+
+def _links(description: RigDescription, host: str) -> Links | None:
+    try:
+        return listen(host).links if description.arm.family == "ur" else None
+    except (OSError, ValueError):  # nobody answers, or it is no primary interface
         return None
-    return BuiltArm(description.arm, found).links
 
 
 def links_path(rig: str) -> Path | None:
@@ -46,12 +47,18 @@ def links_path(rig: str) -> Path | None:
     return path.with_suffix(".links.json") if mine else None
 
 
-def store_links(rig: str, description: RigDescription, links: Links) -> Path | None:
-    """Write the links beside the rig file; None for a rig that is no file of the user's."""
+def store_links(rig: str, description: RigDescription, host: str) -> Path | None:
+    """Write the links that the controller reports beside the rig file; None for a rig that is no file of the user's, or no links."""
     path = links_path(rig)
-    if path is not None:
-        content = {"format": FORMAT, "version": VERSION, "model": description.arm.name, "links": links.to_json()}
-        files.write_json(path, content)
+    links = None if path is None else _links(description, host)
+    if path is None or links is None:
+        return None
+    try:
+        links = BuiltArm(description.arm, links).links
+    except UsageError:  # of another model, which the doctor says
+        return None
+    content = {"format": FORMAT, "version": VERSION, "model": description.arm.name, "links": links.to_json()}
+    files.write_json(path, content)
     return path
 
 

@@ -148,7 +148,8 @@ def test_a_camera_that_rejects_a_setting_leaves_nothing(capture, session, tmp_pa
 
 
 def test_a_missing_camera_is_one_line_and_leaves_nothing(capture, session, tmp_path):
-    done = capture("run", session, "--rig", "ur5e_basler", "--out", tmp_path / "rec")
+    (tmp_path / "real.yaml").write_text("robot: {installation: {payload_kg: 0.6}}")
+    done = capture("run", session, "--rig", tmp_path / "real.yaml", "--out", tmp_path / "rec")
     if "cannot be reached" in done.stderr or "several" in done.stderr:
         pytest.skip("a Basler camera is connected to this computer")
     assert done.returncode == 1 and done.stderr.count("\n") == 1, done.stderr
