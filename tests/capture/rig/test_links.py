@@ -85,7 +85,7 @@ def test_a_session_takes_its_views_where_they_are_planned(tmp_path: Path) -> Non
     trajectory = Trajectory.model_validate({"name": "two", "views": views, "camera": small})
     from koala3d.capture.recording.recorder import record
 
-    with open_rig("sim", trajectory, scene="shiny_ball", seed=3, time_scale=50.0) as rig:
+    with open_rig("sim", trajectory, scene="grey_card", seed=3, time_scale=50.0) as rig:
         recording = record(trajectory, rig, tmp_path / "rec")
         carrier = rig.carrier
     assert carrier.built is not None
