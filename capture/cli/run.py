@@ -28,9 +28,10 @@ from koala3d.capture.cli.options import (
 from koala3d.datasets.core import console
 
 if TYPE_CHECKING:
+    from koala3d.capture.drivers.protocols import Robot
+    from koala3d.capture.model.carrier import Carrier
     from koala3d.capture.model.trajectory import Trajectory
     from koala3d.capture.planning import PlannedView
-    from koala3d.capture.rig.rig import Rig
     from koala3d.capture.sessions.adaptive.loop import CoverageGoal
     from koala3d.capture.sessions.start import SessionOptions
 
@@ -206,18 +207,21 @@ def _every(session: "Trajectory", out: Path, options: "SessionOptions", port: in
     if options.resume and (out / MANIFEST).is_file() and chosen_views(Recording.open(out)):
         raise UsageError("chose its own views", where=out, remedy="continue it with --adaptive")
     description, start = describe(options.rig), time.monotonic()
-    cameras = [name for name in description.each if name]
-    with options.opened(session, out) as opened, ExitStack() as stack:
-        planned = plan(session, opened.carrier)
+    mount, cameras, robots = description.carrier(), [name for name in description.each if name], list["Robot"]()
+    nominal = plan(session, mount)
+    with ExitStack() as stack:
         if port is not None:
-            stack.enter_context(_watched(out / description.name, session, opened, planned, port))
-        shown = stack.enter_context(_progress("capture", len(planned), options))
+            stack.enter_context(_watched(out / description.name, session, mount, nominal, robots, port))
+        shown = stack.enter_context(_progress("capture", len(nominal), options))
+        with options.opened(session, out) as opened:
+            robots.append(opened.robot)
 
-        def advance(name: str) -> None:
-            shown.advance()
-            shown.note(f"view {name}")
+            def advance(name: str) -> None:
+                shown.advance()
+                shown.note(f"view {name}")
 
-        taken = len(record(session, opened, out, resume=options.resume, planned=planned, advance=advance).frames)
+            planned = plan(session, opened.carrier, nominal=nominal)
+            taken = len(record(session, opened, out, resume=options.resume, planned=planned, advance=advance).frames)
     seconds = time.monotonic() - start
     found = {"recording": str(out), "frames": taken, "seconds": round(seconds, 2), "scene": options.scene or None}
     by = f" by each of {', '.join(cameras)}" if cameras else ""
@@ -225,8 +229,10 @@ def _every(session: "Trajectory", out: Path, options: "SessionOptions", port: in
 
 
 @contextmanager
-def _watched(out: Path, session: "Trajectory", rig: "Rig", planned: "list[PlannedView]", port: int) -> Iterator[None]:
-    """A page that shows a recording while it is made. Its button stops the arm and ends the session as Ctrl-C does."""
+def _watched(
+    out: Path, session: "Trajectory", mount: "Carrier", planned: "list[PlannedView]", robots: "list[Robot]", port: int
+) -> Iterator[None]:
+    """A page that shows a recording while it is made. Its button stops the `robots` and ends the session as Ctrl-C does."""
     from koala3d.capture.page.view import watch
     from koala3d.datasets.page import open_page
 
@@ -234,9 +240,10 @@ def _watched(out: Path, session: "Trajectory", rig: "Rig", planned: "list[Planne
 
     def stop() -> None:
         signal.pthread_kill(session_thread, signal.SIGINT)  # to the thread itself, so that it wakes
-        rig.robot.stop()  # the session may be busy with the camera
+        for robot in robots:
+            robot.stop()  # the session may be busy with the camera
 
     with open_page(session.name, port) as page:
-        watch(page, out, session, rig.carrier, planned, stop=lambda: page.in_background(stop))
+        watch(page, out, session, mount, planned, stop=lambda: page.in_background(stop))
         console.hint(f"{page.url} shows the session")
         yield

@@ -28,21 +28,28 @@ class PlannedView:
     """Joint angles to pass through from the previous view, the last being `joints`; only `joints` for the first view."""
 
 
-def plan(trajectory: Trajectory, mount: Carrier, *, without: Collection[str] = ()) -> list[PlannedView]:
+def plan(
+    trajectory: Trajectory, mount: Carrier, *, without: Collection[str] = (), nominal: list[PlannedView] | None = None
+) -> list[PlannedView]:
     """Joint angles for every view of a trajectory, in the order of capture, with collision-free paths between them.
 
     The order is that of the trajectory, or with `motion.order` "shortest" another one if it saves time. The result depends
     only on the arguments, so that a session can be repeated and resumed. The limit of the cable decides how the arm takes a view,
-    and never how the picture is rolled if it can be helped: rigs with and without a limit take the same pictures.
+    and never how the picture is rolled if it can be helped: rigs with and without a limit take the same pictures. So do arms of one
+    model: the plan for an arm as built is the one for the nominal links, brought onto the same poses.
 
     Args:
         mount: the arm and its camera.
         without: names of views to leave out.
+        nominal: the plan for the nominal links of the arm, if it has been made already.
 
     Raises:
         UnreachableError: names the views that cannot be taken, and why.
         PlanningError: no path between two views was found.
     """
+    if mount.built is not None:
+        nominal = plan(trajectory, replace(mount, built=None), without=without) if nominal is None else nominal
+        return _as_built(trajectory, mount, nominal)
     obstacles = Obstacles.of(trajectory, mount)
     loose = replace(obstacles, carrier=replace(mount, cable=None))
     solved = [solve(viewpoint, loose) for viewpoint in trajectory.viewpoints() if viewpoint.name not in without]
@@ -58,6 +65,23 @@ def plan(trajectory: Trajectory, mount: Carrier, *, without: Collection[str] = (
         solved = [one.within(mount, roll=int(one.rolls[index])) for one, index in zip(solved, chosen, strict=True)]
         _require_reached(solved, trajectory.name)
         chosen, _ = shortest([one.joints for one in solved], obstacles)
+    return _with_paths(solved, chosen, obstacles)
+
+
+def _as_built(trajectory: Trajectory, mount: Carrier, nominal: list[PlannedView]) -> list[PlannedView]:
+    """The nominal plan for an arm with links of its own: each view in the nearest configuration, with paths that are checked anew.
+
+    A view that cannot be taken with the roll of the nominal plan is taken with another.
+    """
+    obstacles, wanted = Obstacles.of(trajectory, mount), {view.name: view for view in trajectory.viewpoints()}
+    solved, chosen = [], []
+    for planned in nominal:
+        view = wanted[planned.viewpoint.name]
+        found = solve(planned.viewpoint if view.joints is None else view, obstacles)
+        found = solve(view, obstacles) if found.reason and view.joints is None else found
+        solved.append(found)
+        chosen.append(0 if found.reason else int(np.abs(found.joints - planned.joints).max(axis=1).argmin()))
+    _require_reached(solved, trajectory.name)
     return _with_paths(solved, chosen, obstacles)
 
 

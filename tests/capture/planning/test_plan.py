@@ -66,6 +66,23 @@ def test_the_limit_of_the_cable_changes_no_picture():
         np.testing.assert_allclose(one.viewpoint.camera_pose(MOUNT), other.viewpoint.camera_pose(free), atol=1e-9)
 
 
+@pytest.mark.parametrize("name", ["koala_demo", "koala_hanging"])
+def test_an_arm_as_built_takes_the_same_pictures_in_nearly_the_same_way(name: str):
+    """What a person has looked at with the nominal links is what the arm does, brought onto the poses by its own links."""
+    trajectory = load_trajectory(name)
+    built = MOUNT.as_built(MOUNT.arm.links.calibrated(np.random.default_rng(0), 1e-3, 1e-3))
+    nominal, planned = plan(trajectory, MOUNT), plan(trajectory, built)
+    obstacles, here, ways = Obstacles.of(trajectory, built), planned[0].joints, []
+    for one, other in zip(nominal, planned, strict=True):
+        np.testing.assert_allclose(one.viewpoint.camera_pose(MOUNT), other.viewpoint.camera_pose(built), atol=1e-9)
+        np.testing.assert_allclose(built.base_from_camera(other.joints), other.viewpoint.camera_pose(built), atol=1e-6)
+        assert 0 < np.abs(one.joints - other.joints).max() < 0.1
+        for there in other.path:
+            ways.append(np.linspace(here, there, 100))
+            here = there
+    assert obstacles.margin(np.concatenate(ways)).min() >= 0
+
+
 def test_a_view_that_would_wind_up_the_cable_is_named_with_the_limit():
     views = [JointViews(kind="joints", joints_deg=[(0, -90, 90, -90, -90, 0), (0, -90, 90, -90, -90, 300)])]
     with pytest.raises(UnreachableError, match=r"1 of 2 views.*001: the camera's cable.*0\.83 turns, limit 0\.5 .robot\.cable"):
