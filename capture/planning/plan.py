@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from koala3d.capture.drivers.errors import PlanningError, UnreachableError
+from koala3d.capture.model.built import BuiltArm
 from koala3d.capture.model.carrier import Carrier
 from koala3d.capture.model.trajectory import Trajectory
 from koala3d.capture.model.viewpoints import Viewpoint
@@ -49,7 +50,7 @@ def plan(
     """
     if mount.built is not None:
         nominal = plan(trajectory, replace(mount, built=None), without=without) if nominal is None else nominal
-        return _as_built(trajectory, mount, nominal)
+        return _as_built(trajectory, mount.built, mount, nominal)
     obstacles = Obstacles.of(trajectory, mount)
     loose = replace(obstacles, carrier=replace(mount, cable=None))
     solved = [solve(viewpoint, loose) for viewpoint in trajectory.viewpoints() if viewpoint.name not in without]
@@ -68,17 +69,21 @@ def plan(
     return _with_paths(solved, chosen, obstacles)
 
 
-def _as_built(trajectory: Trajectory, mount: Carrier, nominal: list[PlannedView]) -> list[PlannedView]:
-    """The nominal plan for an arm with links of its own: each view in the nearest configuration, with paths that are checked anew.
+def _as_built(trajectory: Trajectory, built: BuiltArm, mount: Carrier, nominal: list[PlannedView]) -> list[PlannedView]:
+    """The nominal plan for an arm with links of its own: each view in the same configuration, with paths that are checked anew.
 
-    A view that cannot be taken with the roll of the nominal plan is taken with another.
+    If the arm as it is would be too close there, the view is taken in another configuration, and if need be with another roll.
     """
     obstacles, wanted = Obstacles.of(trajectory, mount), {view.name: view for view in trajectory.viewpoints()}
     solved, chosen = [], []
     for planned in nominal:
-        view = wanted[planned.viewpoint.name]
-        found = solve(planned.viewpoint if view.joints is None else view, obstacles)
-        found = solve(view, obstacles) if found.reason and view.joints is None else found
+        view, rolled = wanted[planned.viewpoint.name], planned.viewpoint
+        found = solve(view, obstacles) if view.joints is not None else None
+        if found is None:
+            near = built.near(obstacles.flange_for(rolled.camera_pose(mount)), planned.joints)
+            same = len(near) > 0 and bool(obstacles.free(near)[0])
+            found = Solutions(rolled, near, np.zeros(1, np.int64)) if same else solve(rolled, obstacles)
+            found = solve(view, obstacles) if found.reason else found
         solved.append(found)
         chosen.append(0 if found.reason else int(np.abs(found.joints - planned.joints).max(axis=1).argmin()))
     _require_reached(solved, trajectory.name)

@@ -70,7 +70,7 @@ def test_the_limit_of_the_cable_changes_no_picture():
 def test_an_arm_as_built_takes_the_same_pictures_in_nearly_the_same_way(name: str):
     """What a person has looked at with the nominal links is what the arm does, brought onto the poses by its own links."""
     trajectory = load_trajectory(name)
-    built = MOUNT.as_built(MOUNT.arm.links.calibrated(np.random.default_rng(0), 1e-3, 1e-3))
+    built = MOUNT.as_built(MOUNT.arm.links.calibrated(np.random.default_rng(0), 5e-4, 1e-3))
     nominal, planned = plan(trajectory, MOUNT), plan(trajectory, built)
     obstacles, here, ways = Obstacles.of(trajectory, built), planned[0].joints, []
     for one, other in zip(nominal, planned, strict=True):
