@@ -86,17 +86,9 @@ def plan(
     from koala3d.capture.planning import plan as plan_session
     from koala3d.capture.rig.links import links_path, stored_links
     from koala3d.capture.rig.naming import describe
-    from koala3d.datasets.core.errors import UsageError
     from koala3d.datasets.core.files import refuse_existing
 
-    needless = {"--out": out, "--views": views, "--until-coverage": until_coverage}
-    needless |= {} if coverage is not None else {"--calibration": calibration}
-    if given := [name for name, value in needless.items() if value is not None and for_mesh is None]:
-        raise UsageError("is for a known shape", where=given[0], remedy="add --for-mesh, or leave it out")
-    if coverage is not None and for_mesh is not None:
-        raise UsageError("is printed by --for-mesh as well", where="--coverage", remedy="leave it out")
-    if trajectory is None and for_mesh is None:
-        raise UsageError("no TRAJECTORY is given", remedy="name one of 'capture list', or a file")
+    _agree({"--out": out, "--views": views, "--until-coverage": until_coverage}, coverage, calibration, for_mesh, trajectory)
     for path in (plot, page, out):
         if path is not None:
             refuse_existing(path)
@@ -120,6 +112,21 @@ def plan(
     whose = links_path(rig) if links is not None else f"nominal, of the {mount.arm.name}"
     facts |= {"links": "nominal" if links is None else "as built"}
     console.report({**facts, **found}, as_json=as_json, text=f"{words}{text}\nlinks of the arm: {whose}")
+
+
+def _agree(
+    chosen: dict[str, object], coverage: Path | None, calibration: Path | None, for_mesh: Path | None, trajectory: Path | None
+) -> None:
+    """Raise UsageError where options contradict each other; `chosen` are those that mean nothing without --for-mesh."""
+    from koala3d.datasets.core.errors import UsageError
+
+    needless = chosen | ({} if coverage is not None else {"--calibration": calibration})
+    if given := [name for name, value in needless.items() if value is not None and for_mesh is None]:
+        raise UsageError("is for a known shape", where=given[0], remedy="add --for-mesh, or leave it out")
+    if coverage is not None and for_mesh is not None:
+        raise UsageError("is printed by --for-mesh as well", where="--coverage", remedy="leave it out")
+    if trajectory is None and for_mesh is None:
+        raise UsageError("no TRAJECTORY is given", remedy="name one of 'capture list', or a file")
 
 
 def _described(

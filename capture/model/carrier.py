@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from koala3d.capture.model.arm import ArmModel
-from koala3d.capture.model.built import BuiltArm
 from koala3d.capture.model.geometry import Vector
+from koala3d.capture.model.inverse.built import BuiltArm
 from koala3d.capture.model.parts import Part, Shape
 from koala3d.capture.model.solids import Solid
 from koala3d.capture.model.turntable import TurntableDescription
@@ -45,8 +45,8 @@ BODY = (
 class Cable(Schema):
     """The camera's cable: how far joints may wind it up.
 
-    The first joint winds it around the base and the last one around the wrist; those between bend it. Half a turn to either side takes
-    no view away: whole turns bring each joint of each configuration to within half a turn of its rest.
+    The first joint winds it around the base and the last one around the wrist; those between bend it. Half a turn to either side
+    takes no view away: whole turns bring each joint of each configuration to within half a turn of its rest.
     """
 
     max_turns: float = Field(
@@ -110,7 +110,7 @@ class Carrier:
     built: BuiltArm | None = None  # the arm with its own links; None: the nominal ones of the model
 
     def as_built(self, links: Links | None) -> Self:
-        """The same with the calibrated links of an arm; None: with the nominal ones. Raises UsageError: those of another model."""
+        """The same with the calibrated links of an arm; None: with the nominal ones. Raises UsageError: of another model."""
         return replace(self, built=None if links is None else BuiltArm(self.arm, links))
 
     @property

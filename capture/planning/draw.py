@@ -167,7 +167,7 @@ def _scene(planned: list[PlannedView], obstacles: Obstacles, title: str) -> dict
 
 
 def still(name: str, joints: NDArray[np.float64], arm: NDArray[np.float64], room: float) -> dict[str, Any]:
-    """A view of the page: (n,) joint angles [rad], (parts, 2, 3) or (steps, parts, 2, 3) ends of the arm's parts [m], margin [m]."""
+    """A view of the page: (n,) joint angles [rad], (..., parts, 2, 3) ends of the arm's parts at each step [m], margin [m]."""
     return {
         "name": name,
         "split": "candidate",

@@ -1,7 +1,7 @@
 """Collision-free paths in joint space: straight where possible, otherwise found by a bidirectional tree search.
 
-On a straight path all joints move in proportion, as in the controller's movej. What is said of a path holds for all of it, not only
-for the configurations that were looked at: the distance by which a part may have moved since then is subtracted from its margin.
+On a straight path all joints move in proportion, as in the controller's movej. What is said of a path holds for all of it, not
+only for the configurations that were looked at: the distance by which a part may have moved since is subtracted from its margin.
 """
 
 from dataclasses import dataclass
@@ -83,8 +83,8 @@ def is_free(start: Joints, goal: Joints, obstacles: Obstacles) -> bool:
 def are_free(starts: Joints, goals: Joints, obstacles: Obstacles) -> NDArray[np.bool_]:
     """(m,) whether the straight paths from (m, n) starts to goals are free, their ends included.
 
-    An arm that stands too close may leave, see `LEAVE`. A start beyond a limit of the joints or of the cable is not refused: these
-    limits are convex, so that the way back inside does not lead farther out.
+    An arm that stands too close may leave, see `LEAVE`. A start beyond a limit of the joints or of the cable is not refused:
+    these limits are convex, so that the way back inside does not lead farther out.
     """
     free = obstacles.free(goals)
     floor = np.minimum(obstacles.margin(starts), 0.0)

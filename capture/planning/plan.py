@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from koala3d.capture.drivers.errors import PlanningError, UnreachableError
-from koala3d.capture.model.built import BuiltArm
 from koala3d.capture.model.carrier import Carrier
+from koala3d.capture.model.inverse.built import BuiltArm
 from koala3d.capture.model.trajectory import Trajectory
 from koala3d.capture.model.viewpoints import Viewpoint
 from koala3d.capture.planning.obstacles import Obstacles
@@ -36,8 +36,8 @@ def plan(
 
     The order is that of the trajectory, or with `motion.order` "shortest" another one if it saves time. The result depends
     only on the arguments, so that a session can be repeated and resumed. The limit of the cable decides how the arm takes a view,
-    and never how the picture is rolled if it can be helped: rigs with and without a limit take the same pictures. So do arms of one
-    model: the plan for an arm as built is the one for the nominal links, brought onto the same poses.
+    and never how the picture is rolled if it can be helped: rigs with and without a limit take the same pictures. So do arms of
+    one model: the plan for an arm as built is the one for the nominal links, brought onto the same poses.
 
     Args:
         mount: the arm and its camera.

@@ -1,4 +1,4 @@
-"""A page for sessions that choose their views: where the camera may be, what stands around, and the region that the arm may sweep."""
+"""A page for sessions that choose their views: where the camera may be, what stands around, and what the arm may sweep."""
 
 from itertools import product
 from pathlib import Path

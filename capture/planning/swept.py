@@ -53,9 +53,9 @@ class Sweep:
         return np.asarray(of_links[:, links] - of_links[:, self.seen_from])
 
     def bends(self, change: Array) -> Array:
-        """(m, k) bound on the second derivative [m per unit of s squared] of any point of each part, for (m, n) `change` [rad].
+        """(m, k) bound on the second derivative [m per unit of s^2] of any point of each part, for (m, n) `change` [rad].
 
-        With |o_i x| at most r_i, however the arm stands, it is the sum of |change_i change_j| r_max(i, j) over the joints between.
+        With |o_i x| at most r_i at any angles, it is the sum of |change_i change_j| r_max(i, j) over the joints between.
         """
         links = np.array([self.carrier.shape.parts[part].link for part in self.parts])
         number = np.arange(change.shape[-1])

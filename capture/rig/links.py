@@ -9,7 +9,7 @@ from typing import Any
 
 from koala3d import configs
 from koala3d.capture.drivers.ur.primary import listen
-from koala3d.capture.model.built import BuiltArm
+from koala3d.capture.model.inverse.built import BuiltArm
 from koala3d.capture.model.rig import RigDescription
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import UsageError
@@ -48,7 +48,7 @@ def links_path(rig: str) -> Path | None:
 
 
 def store_links(rig: str, description: RigDescription, host: str) -> Path | None:
-    """Write the links that the controller reports beside the rig file; None for a rig that is no file of the user's, or no links."""
+    """Write the links that the controller reports beside the rig file; None if it reports none, or the rig is no such file."""
     path = links_path(rig)
     links = None if path is None else _links(description, host)
     if path is None or links is None:

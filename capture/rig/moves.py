@@ -1,4 +1,4 @@
-"""Moves an arm along planned paths: slowly at first and after a fault, and if a person wants it, only after asking for each move."""
+"""Moves an arm along planned paths: slowly at first and after a fault, and if a person wants it, only after asking."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from koala3d.capture.drivers.errors import naming
 from koala3d.capture.drivers.protocols import Turntable
+from koala3d.capture.model.rig import RigDescription
 from koala3d.capture.model.trajectory import Trajectory
 from koala3d.capture.model.turntable import TurntableDescription, required
 from koala3d.capture.rig.arms import Examination, arm_of, require_payload
@@ -51,13 +52,7 @@ def open_rig(
     Raises UsageError: `radiometry` for several cameras, views that turn a turntable which the rig lacks, or a real arm whose
     payload nobody states. KoalaError names the camera that could not be opened.
     """
-    description = describe(name)
-    if radiometry is not None:
-        if description.cameras:
-            remedy = "leave --radiometry out, and write 'radiometry' below each camera in the rig file"
-            raise UsageError("one response for several cameras", where=radiometry, remedy=remedy)
-        camera = description.camera.model_copy(update={"radiometry": str(radiometry)})
-        description = description.model_copy(update={"camera": camera})
+    description = _with_response(describe(name), radiometry)
     table = required(description.turntable, trajectory.name) if trajectory.turns else None
     hangs = trajectory.upwards < 0
     with controller_of(name, description, hangs=hangs, seed=seed, time_scale=time_scale) as controller:
@@ -87,6 +82,17 @@ def open_rig(
             }
             first = next(iter(rigs.values()))
             yield replace(first, cameras=rigs) if description.cameras else first
+
+
+def _with_response(description: RigDescription, radiometry: Path | None) -> RigDescription:
+    """The rig with a measured response of its camera; None: with its own. Raises UsageError: it has several cameras."""
+    if radiometry is None:
+        return description
+    if description.cameras:
+        remedy = "leave --radiometry out, and write 'radiometry' below each camera in the rig file"
+        raise UsageError("one response for several cameras", where=radiometry, remedy=remedy)
+    camera = description.camera.model_copy(update={"radiometry": str(radiometry)})
+    return description.model_copy(update={"camera": camera})
 
 
 def _turntable(table: TurntableDescription | None) -> AbstractContextManager[Turntable | None]:

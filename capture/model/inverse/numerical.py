@@ -51,7 +51,7 @@ def solutions(base_from_flange: Array, links: Links, lower: Array, upper: Array,
 
 
 def improved(base_from_flange: Array, joints: Array, links: Links) -> Array:
-    """Those of (m, n) joint angles [rad] near solutions, by other links of the same arm, that Newton's method brings onto the pose.
+    """Those of (m, n) joint angles [rad], solutions with similar links, that Newton's method brings onto the (4, 4) pose.
 
     Next to a singularity a step would be long; angles that leave their branch, or do not converge, are left out.
     """

@@ -84,7 +84,7 @@ def looking(trajectory: Trajectory, carrier: Carrier, present: Array, count: int
 
 
 def preview(trajectory: Trajectory, obstacles: Obstacles, seed: int) -> Array:
-    """(m, n) configurations [rad] before the board has been seen: of the views that look for it, and around where it should be."""
+    """(m, n) configurations [rad] before the board is seen: of the views that look for it, and around where it should be."""
     solved = [solve(view, obstacles) for view in trajectory.viewpoints()]
     views = [one.joints for one in solved if not one.reason]
     if trajectory.board is not None:

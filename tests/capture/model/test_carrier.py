@@ -122,7 +122,7 @@ def test_an_arm_whose_cable_is_wound_too_far_may_unwind_it() -> None:
 
 
 def test_every_row_of_a_plate_counts() -> None:
-    """The plate of a target is several capsules of one name: a ball beside its first row, and one beside its last, are both near."""
+    """The plate of a target is several capsules of one name: a ball at its first row and one at its last are both near."""
     place = Beside(np.eye(4), pose.rigid(np.eye(3), [0.0, 0.0, 0.05]), (0.2, 0.2))
     joints = np.radians([0, -90, 90, -90, -90, 0])
     alone = carrier(beside=place)

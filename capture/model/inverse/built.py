@@ -63,7 +63,7 @@ class BuiltArm:
         return shifts
 
     def near(self, base_from_flange: ArrayLike, joints: ArrayLike) -> Array:
-        """(m, n) joint angles [rad] next to (n,) nominal ones that bring the flange to the (4, 4) pose; m is 1, or 0: there are none."""
+        """(m, n) joint angles [rad] next to (n,) nominal ones that bring the flange to the (4, 4) pose; m is 1, or 0: none."""
         return improved(np.asarray(base_from_flange, np.float64), np.asarray(joints, np.float64)[None], self.links)
 
     def inverse(self, base_from_flange: ArrayLike) -> Array:
