@@ -72,15 +72,18 @@ def test_an_arm_as_built_takes_the_same_pictures_in_nearly_the_same_way(name: st
     trajectory = load_trajectory(name)
     built = MOUNT.as_built(MOUNT.arm.links.calibrated(np.random.default_rng(0), 5e-4, 1e-3))
     nominal, planned = plan(trajectory, MOUNT), plan(trajectory, built)
-    obstacles, here, ways = Obstacles.of(trajectory, built), planned[0].joints, []
+    obstacles, here, ways, elsewhere = Obstacles.of(trajectory, built), planned[0].joints, [], 0
     for one, other in zip(nominal, planned, strict=True):
         np.testing.assert_allclose(one.viewpoint.camera_pose(MOUNT), other.viewpoint.camera_pose(built), atol=1e-9)
         np.testing.assert_allclose(built.base_from_camera(other.joints), other.viewpoint.camera_pose(built), atol=1e-6)
-        assert 0 < np.abs(one.joints - other.joints).max() < 0.1
+        if np.abs(one.joints - other.joints).max() > 0.1:  # only where the arm as it is would be too close
+            near = built.built.near(built.flange_for(one.viewpoint.camera_pose(MOUNT)), one.joints)
+            assert not obstacles.free(near)[0]
+            elsewhere += 1
         for there in other.path:
             ways.append(np.linspace(here, there, 100))
             here = there
-    assert obstacles.margin(np.concatenate(ways)).min() >= 0
+    assert obstacles.margin(np.concatenate(ways)).min() >= 0 and elsewhere <= 1
 
 
 def test_a_view_that_would_wind_up_the_cable_is_named_with_the_limit():
