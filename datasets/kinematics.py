@@ -20,6 +20,8 @@ from koala3d.datasets.core.errors import DatasetError
 
 Array = NDArray[np.float64]
 MAX_JOINTS = 16
+MAX_LENGTH_M = 1e5
+"""Frames of a calibrated arm may be this far away: on the common normal of two axes that are parallel to 10 microradians [m]."""
 
 
 @dataclass(frozen=True)
@@ -77,8 +79,8 @@ class Links:
             theta = np.radians(np.array(content.get("theta_deg") or np.zeros(len(d)), np.float64))
             if not (d.shape == a.shape == alpha.shape == theta.shape and 1 <= d.size <= MAX_JOINTS and d.ndim == 1):
                 raise ValueError(f"d, a, alpha_deg and theta_deg must have the same 1 to {MAX_JOINTS} numbers")
-            if not np.isfinite([d, a, alpha, theta]).all() or np.abs([d, a]).max() > 10:
-                raise ValueError("a number is not finite, or a length exceeds 10 m")
+            if not np.isfinite([d, a, alpha, theta]).all() or np.abs([d, a]).max() > MAX_LENGTH_M:
+                raise ValueError(f"a number is not finite, or a length exceeds {MAX_LENGTH_M:g} m")
         except (TypeError, KeyError, ValueError, AttributeError) as error:
             raise DatasetError("links of the arm are not complete", where=where, why=str(error)) from None
         fixed = (pose.checked(content.get(key) or np.eye(4), where=f"{where}, {key}") for key in ("base", "tool"))

@@ -90,7 +90,7 @@ def plan(name: str, path: Path) -> None:
     mount = RigDescription().carrier()
     planned = planned_views(session, mount)
     path.unlink(missing_ok=True)
-    title = f"{session.name}: {len(planned)} views, about {duration(session, planned):.0f} s"
+    title = f"{session.name}: {len(planned)} views, about {duration(session, planned, mount):.0f} s"
     draw.plot(planned, Obstacles.of(session, mount), path, title=title)
 
 

@@ -1,11 +1,13 @@
 """The command `calibrate`."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 from typer import Argument, Option
 
-from koala3d.capture.cli.options import Ignore, RigName, Scene, Seed, Settings, TakeOver, TimeScale
+from koala3d.capture.cli.confirm import asker
+from koala3d.capture.cli.options import Confirm, Ignore, RigName, Scene, Seed, Settings, Slow, TakeOver, TimeScale
 from koala3d.datasets.core import console
 
 GOAL, ARM = "When it ends", "Arm and lens"
@@ -42,6 +44,8 @@ def calibrate(
     resume: Annotated[bool, Option("--resume", help="Continue an interrupted session.")] = False,
     take_over: TakeOver = False,
     ignore: Ignore = None,
+    slow: Slow = 1.0,
+    confirm: Confirm = False,
     settings: Settings = None,
     as_json: console.Json = False,
 ) -> None:
@@ -65,7 +69,8 @@ def calibrate(
         refuse_existing(out)
     goal = AccuracyGoal((until_mm, until_deg), max_views)
     arm = ["--arm-mm", str(arm_mm), "--arm-deg", str(arm_deg), "--lens", lens]
-    options = SessionOptions(rig, scene, seed, time_scale, take_over=take_over, resume=resume, ignore=tuple(ignore or ()))
+    options = SessionOptions(rig, scene, seed, time_scale, take_over=take_over, resume=resume, slow=slow)
+    options = replace(options, ask=asker(confirm), ignore=tuple(ignore or ()))
     try:
         outcome = session.run(room, out, goal, options, arm, show=lambda views, answer: session.show(views, answer, goal.until))
     except KeyboardInterrupt:

@@ -36,12 +36,14 @@ def doctor(
     from koala3d.capture.doctor.examine import examine
     from koala3d.capture.doctor.lines import Verdict, ignoring, table
     from koala3d.capture.rig.controllers import controller_of, host_of
+    from koala3d.capture.rig.links import store_links
     from koala3d.capture.rig.naming import describe, is_simulated
 
     description = describe(rig)
     with controller_of(rig, description) as controller:
         host = host_of(description, controller)
         lines = examine(description, host, out, simulated=controller is not None, seconds=seconds)
+        kept = store_links(rig, description, host)
     if not is_simulated(rig, description):
         lines.append(acceptance.check(configs.find("rigs", rig)))
     if pictures is not None:
@@ -54,6 +56,7 @@ def doctor(
         {"name": line.name, "verdict": line.verdict, "found": line.found, "remedy": line.remedy, "blocks": line.blocks}
         for line in lines
     ]
-    console.report({"rig": rig, "lines": found}, as_json=as_json, text=table(lines))
+    words = table(lines) if kept is None else f"{table(lines)}\nthe links of this arm are kept in {kept} for 'capture plan'"
+    console.report({"rig": rig, "lines": found, "links": kept}, as_json=as_json, text=words)
     if any(line.verdict is Verdict.WRONG for line in lines):
         raise Exit(1)

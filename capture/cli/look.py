@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from typer import Option
 
-from koala3d.capture.cli.options import Ignore, RigName, Scene, Settings, TakeOver, TrajectoryName
+from koala3d.capture.cli.options import Ignore, RigName, Scene, Settings, Slow, TakeOver, TrajectoryName
 from koala3d.datasets.core import console
 
 ONCE, ARM = "Without the page", "With the arm"
@@ -54,6 +54,7 @@ def look(
     calibration: Box = None,
     take_over: TakeOver = False,
     ignore: Ignore = None,
+    slow: Slow = 1.0,
     port: console.Port = 8080,
     settings: Settings = None,
     as_json: console.Json = False,
@@ -76,7 +77,8 @@ def look(
     part = Part.middle(width, height)
     stored = description.camera.radiometry
     with ExitStack() as stack:
-        camera, jog = stack.enter_context(_opened(rig, session, scene, arm or go is not None, take_over, ignore or ()))
+        opening = _opened(rig, session, scene, arm or go is not None, take_over, ignore or (), slow)
+        camera, jog = stack.enter_context(opening)
         outline = _outline(calibration, session, camera, jog)
         if jog is not None and go is not None:
             jog.go(go)
@@ -97,11 +99,12 @@ def look(
 
 @contextmanager
 def _opened(
-    rig: str, session: Any, scene: str, with_arm: bool, take_over: bool, ignore: Collection[str]
+    rig: str, session: Any, scene: str, with_arm: bool, take_over: bool, ignore: Collection[str], slow: float
 ) -> Iterator[tuple[Any, Any]]:
     """The camera of a rig, and what moves its arm, which is None where it is left alone."""
     from koala3d.capture.doctor.examine import examination
     from koala3d.capture.rig.cameras import camera_for
+    from koala3d.capture.rig.moves import Moves
     from koala3d.capture.rig.opening import open_rig
     from koala3d.capture.sessions.live.jog import Jog
 
@@ -111,8 +114,9 @@ def _opened(
         return
     examine = examination(Path.cwd(), session.upwards, session.camera.pixel_format == "rgb8", take_over, ignore=ignore)
     options: dict[str, Any] = {"examine": examine, "take_over": take_over, "time_scale": TIME_SCALE}
+    options["moves"] = Moves(slow, say=console.hint)
     with open_rig(rig, session, scene=scene, seed=0, **options) as opened:
-        yield opened.camera, Jog(opened.robot, session, opened.carrier)
+        yield opened.camera, Jog(opened.robot, session, opened.carrier, opened.moves)
 
 
 def _outline(path: Path | None, session: Any, camera: Any, jog: Any) -> Any:

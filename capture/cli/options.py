@@ -35,6 +35,22 @@ Ignore = Annotated[
     list[str] | None,
     Option("--ignore", metavar="LINE", help="A line of 'capture doctor' that may be wrong; repeatable. Recordings keep it."),
 ]
+SAFETY = "The arm's motion"
+Slow = Annotated[
+    float,
+    Option(
+        "--slow",
+        metavar="FACTOR",
+        min=0.01,
+        max=1.0,
+        help="Slow every move down: 0.1 is a tenth of the speed. A recording resumes at any speed.",
+        rich_help_panel=SAFETY,
+    ),
+]
+Confirm = Annotated[
+    bool,
+    Option("--confirm", help="Say what the next move is and ask on the terminal before it.", rich_help_panel=SAFETY),
+]
 CalibrationFile = Annotated[
     Path | None, Option("--calibration", metavar="CALIBRATION.json", help="Calibration file, which says what the pictures show.")
 ]

@@ -85,24 +85,19 @@ def plan(
     """
     from koala3d.capture.model.trajectory import load_trajectory
     from koala3d.capture.planning import plan as plan_session
+    from koala3d.capture.rig.links import links_path, stored_links
     from koala3d.capture.rig.naming import describe
-    from koala3d.datasets.core.errors import UsageError
     from koala3d.datasets.core.files import refuse_existing
 
-    needless = {"--out": out, "--views": views, "--until-coverage": until_coverage}
-    needless |= {} if coverage is not None else {"--calibration": calibration}
-    if given := [name for name, value in needless.items() if value is not None and for_mesh is None]:
-        raise UsageError("is for a known shape", where=given[0], remedy="add --for-mesh, or leave it out")
-    if coverage is not None and for_mesh is not None:
-        raise UsageError("is printed by --for-mesh as well", where="--coverage", remedy="leave it out")
-    if trajectory is None and for_mesh is None:
-        raise UsageError("no TRAJECTORY is given", remedy="name one of 'capture list', or a file")
+    _agree({"--out": out, "--views": views, "--until-coverage": until_coverage}, coverage, calibration, for_mesh, trajectory)
     for path in (plot, page, urdf, out):
         if path is not None:
             refuse_existing(path)
     session = load_trajectory(trajectory or DEFAULT, overrides=settings)
-    mount, words, found = describe(rig).carrier(), "", {}
-    describe(rig).lights_on(session.lights)
+    description, words, found = describe(rig), "", {}
+    links = stored_links(rig, description)
+    mount = description.carrier().as_built(links)
+    description.lights_on(session.lights)
     if for_mesh is not None:
         limits = (1.0 if until_coverage is None else until_coverage, views)
         session, words, found = _covering(session, mount, for_mesh, mesh_scale, limits, calibration, out)
@@ -115,7 +110,24 @@ def plan(
         known = None if calibration is None else Calibration.load(calibration)
         shares = measured.of_plan(session, mount, planned, coverage, mesh_scale, known)
         text, found = "\n".join([text, *measured.lines(shares)]), {"covered": shares[-1], "covered_after": shares}
-    console.report({**facts, **found}, as_json=as_json, text=f"{words}{text}")
+    whose = links_path(rig) if links is not None else f"nominal, of the {mount.arm.name}"
+    facts |= {"links": "nominal" if links is None else "as built"}
+    console.report({**facts, **found}, as_json=as_json, text=f"{words}{text}\nlinks of the arm: {whose}")
+
+
+def _agree(
+    chosen: dict[str, object], coverage: Path | None, calibration: Path | None, for_mesh: Path | None, trajectory: Path | None
+) -> None:
+    """Raise UsageError where options contradict each other; `chosen` are those that mean nothing without --for-mesh."""
+    from koala3d.datasets.core.errors import UsageError
+
+    needless = chosen | ({} if coverage is not None else {"--calibration": calibration})
+    if given := [name for name, value in needless.items() if value is not None and for_mesh is None]:
+        raise UsageError("is for a known shape", where=given[0], remedy="add --for-mesh, or leave it out")
+    if coverage is not None and for_mesh is not None:
+        raise UsageError("is printed by --for-mesh as well", where="--coverage", remedy="leave it out")
+    if trajectory is None and for_mesh is None:
+        raise UsageError("no TRAJECTORY is given", remedy="name one of 'capture list', or a file")
 
 
 def _described(
@@ -129,9 +141,9 @@ def _described(
     """What to report of a plan, which is drawn, and written for other programs, if that is asked for."""
     import numpy as np
 
-    from koala3d.capture.planning import Obstacles, draw, duration, export
+    from koala3d.capture.planning import Obstacles, draw, duration, export, fastest
 
-    seconds = duration(session, planned, mount.turntable)
+    seconds, speed = duration(session, planned, mount), fastest(session, planned, mount)
     drawings = [(write, path) for write, path in ((draw.plot, plot), (draw.page, page)) if path is not None]
     for write, path in drawings:
         title = f"{session.name}: {len(planned)} views, about {seconds:.0f} s"
@@ -144,8 +156,10 @@ def _described(
     wound = f"; the cable is wound up by at most {turns:.2f} of {most:g} turns" if most else ""
     splits = Counter(view.viewpoint.split for view in planned)
     parts = ", ".join(f"{count} {split}" for split, count in splits.items())
-    text = f"{session.name}: all {len(planned)} views can be taken ({parts}), in about {seconds:.0f} s{wound}{drawn}"
+    moving = f"; the fastest point moves at {speed:.2f} m/s, limit {mount.max_tool_speed:g}"
+    text = f"{session.name}: all {len(planned)} views can be taken ({parts}), in about {seconds:.0f} s{moving}{wound}{drawn}"
     found = {"name": session.name, "views": len(planned), "splits": splits, "seconds": round(seconds, 1)}
+    found |= {"fastest_point_m_s": round(speed, 4)}
     return text, {**found, "cable_turns": round(turns, 3), "plot": plot, "page": page, "urdf": urdf}
 
 

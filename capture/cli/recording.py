@@ -6,7 +6,8 @@ from typing import Annotated, Any
 import typer
 from typer import Option
 
-from koala3d.capture.cli.options import CalibrationFile, Ignore, MeshScale, Recorded, RigName, TimeScale
+from koala3d.capture.cli.confirm import asker
+from koala3d.capture.cli.options import CalibrationFile, Confirm, Ignore, MeshScale, Recorded, RigName, Slow, TimeScale
 from koala3d.datasets.core import console
 
 COVERAGE = "Coverage of a known shape"
@@ -79,6 +80,8 @@ def replay(
         Option(min=0, help="Simulation only: seed of the positioning errors. Default: the recording's plus one: a new day."),
     ] = None,
     time_scale: TimeScale = 20.0,
+    slow: Slow = 1.0,
+    confirm: Confirm = False,
     out: Annotated[Path | None, Option(metavar="FILE.json", help="Also write every deviation to a new file.")] = None,
     ignore: Ignore = None,
     as_json: console.Json = False,
@@ -91,6 +94,9 @@ def replay(
     from koala3d.capture.model.trajectory import recorded_trajectory
     from koala3d.capture.recording.replay import obstacles_around, replay, summary
     from koala3d.capture.rig.arms import open_arm
+    from koala3d.capture.rig.controllers import host_of
+    from koala3d.capture.rig.links import reported_links
+    from koala3d.capture.rig.moves import Moves
     from koala3d.capture.rig.naming import describe
     from koala3d.datasets.core import files
     from koala3d.datasets.recording import Recording
@@ -101,13 +107,15 @@ def replay(
     stated = found.manifest.get("seed")
     links_seed = stated if isinstance(stated, int) else 0
     seed, trajectory = links_seed + 1 if seed is None else seed, recorded_trajectory(found)
-    obstacles = obstacles_around(found, describe(rig))
+    description = describe(rig)
+    obstacles, moves = obstacles_around(found, description), Moves(slow, asker(confirm), console.hint)
     examine = examination(Path.cwd(), trajectory.upwards, ignore=ignore or (), cameras=False)
     options: dict[str, Any] = {"seed": seed, "links_seed": links_seed, "time_scale": time_scale, "examine": examine}
     with console.progress("replay", len(found.frames), "views") as shown:
         with open_arm(rig, trajectory, **options) as (robot, controller):
             truth = None if controller is None else controller.true_base_from_flange
-            deviations = replay(found, robot, obstacles, truth=truth, advance=lambda one: shown.advance())
+            obstacles = obstacles.as_built(reported_links(description, host_of(description, controller)))
+            deviations = replay(found, robot, obstacles, truth=truth, moves=moves, advance=lambda one: shown.advance())
     content = {"recording": str(recording), **summary(deviations), "frames": [vars(one) for one in deviations]}
     if out is not None:
         files.write_json(out, {"format": "koala-replay", "version": 1, **content})

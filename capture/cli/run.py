@@ -4,19 +4,24 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Option
 
+from koala3d.capture.cli.confirm import asker
 from koala3d.capture.cli.options import (
+    SAFETY,
     CalibrationFile,
+    Confirm,
     Ignore,
     RigName,
     Scene,
     Seed,
     Settings,
+    Slow,
     TakeOver,
     TimeScale,
     TrajectoryName,
@@ -56,9 +61,24 @@ Minutes = Annotated[
 ]
 
 
+Out = Annotated[Path | None, Option(metavar="RECORDING", help="New folder to write, or with --resume an existing one.")]
+Radiometry = Annotated[
+    Path | None,
+    Option(metavar="FLAT.npz", help="File of 'capture flat' to keep with the recording. Default: that of the rig file."),
+]
+DryRun = Annotated[
+    bool,
+    Option(
+        "--dry-run",
+        help="Drive the arm to every view without the camera, at a quarter of the speed or with --slow, and record nothing.",
+        rich_help_panel=SAFETY,
+    ),
+]
+
+
 def run(
     trajectory: TrajectoryName,
-    out: Annotated[Path, Option(metavar="RECORDING", help="New folder to write, or with --resume an existing one.")],
+    out: Out = None,
     rig: RigName = "sim",
     adaptive: Adaptive = False,
     until_coverage: UntilCoverage = None,
@@ -68,10 +88,10 @@ def run(
     scene: Scene = "",
     seed: Seed = 0,
     time_scale: TimeScale = 20.0,
-    radiometry: Annotated[
-        Path | None,
-        Option(metavar="FLAT.npz", help="File of 'capture flat' to keep with the recording. Default: that of the rig file."),
-    ] = None,
+    radiometry: Radiometry = None,
+    slow: Slow = 1.0,
+    confirm: Confirm = False,
+    dry_run: DryRun = False,
     resume: Annotated[bool, Option("--resume", help="Continue an interrupted recording.")] = False,
     take_over: TakeOver = False,
     ignore: Ignore = None,
@@ -94,9 +114,14 @@ def run(
 
     goal = CoverageGoal(until_coverage, views, minutes)
     _agree(adaptive, goal, calibration, view)
+    _require_out(out, dry_run, {"--adaptive": adaptive, "--view": view, "--resume": resume})
     session = load_trajectory(trajectory, overrides=settings)
-    checks = tuple(ignore or ())
-    options = SessionOptions(rig, scene_for(rig, scene, session), seed, time_scale, radiometry, take_over, resume, checks)
+    options = SessionOptions(rig, scene_for(rig, scene, session), seed, time_scale, radiometry, take_over, resume, slow)
+    options = replace(options, ask=asker(confirm), ignore=tuple(ignore or ()))
+    if out is None:
+        found, text = _driven(session, options)
+        console.report(found, as_json=as_json, text=text)
+        return
     if not resume:
         refuse_existing(out)
     try:
@@ -109,6 +134,38 @@ def run(
         remedy = f"the same command with --resume continues in {out}" if out.exists() else "nothing was written"
         raise KoalaError(f"stopped {how}, the arm stands still", where=out, remedy=remedy) from None
     console.report(found, as_json=as_json, text=text)
+
+
+def _require_out(out: Path | None, dry_run: bool, others: dict[str, bool]) -> None:
+    """Raise UsageError unless either a recording or a dry run is wanted."""
+    from koala3d.datasets.core.errors import UsageError
+
+    if out is None and not dry_run:
+        raise UsageError("no recording is named", where="--out", remedy="name a new folder, or add --dry-run")
+    if dry_run and (given := [name for name, value in {"--out": out is not None, **others}.items() if value]):
+        raise UsageError("means nothing to a dry run, which records nothing", where=given[0], remedy="leave it out")
+
+
+def _driven(session: "Trajectory", options: "SessionOptions") -> tuple[dict[str, Any], str]:
+    """Drive the arm without the camera; what to report."""
+    from koala3d.capture.sessions.dry_run import SLOW, drive
+
+    start, number = time.monotonic(), session.number
+    options = options if options.slow < 1.0 else replace(options, slow=SLOW)
+    with _progress("dry run", number, options) as shown:
+        drive(session, options, lambda name: shown.advance())
+    seconds = time.monotonic() - start
+    return {
+        "views": number,
+        "seconds": round(seconds, 2),
+    }, f"{session.name}: {number} views in {seconds:.0f} s, nothing is recorded"
+
+
+def _progress(what: str, number: int, options: "SessionOptions") -> "AbstractContextManager[console.Progress]":
+    """The progress of a session; plain lines if questions are asked between them."""
+    return (
+        console.progress(what, number, "views") if options.ask is None else nullcontext(console.Progress(what, number, "views"))
+    )
 
 
 def _agree(adaptive: bool, goal: "CoverageGoal", calibration: Path | None, view: bool) -> None:
@@ -151,14 +208,13 @@ def _every(session: "Trajectory", out: Path, options: "SessionOptions", port: in
 
     if options.resume and (out / MANIFEST).is_file() and chosen_views(Recording.open(out)):
         raise UsageError("chose its own views", where=out, remedy="continue it with --adaptive")
-    description = describe(options.rig)
-    mount, cameras = description.carrier(), [name for name in description.each if name]
-    start, robots = time.monotonic(), list["Robot"]()
-    planned = plan(session, mount)
+    description, start = describe(options.rig), time.monotonic()
+    mount, cameras, robots = description.carrier(), [name for name in description.each if name], list["Robot"]()
+    nominal = plan(session, mount)
     with ExitStack() as stack:
         if port is not None:
-            stack.enter_context(_watched(out / description.name, session, mount, planned, robots, port))
-        shown = stack.enter_context(console.progress("capture", len(planned), "views"))
+            stack.enter_context(_watched(out / description.name, session, mount, nominal, robots, port))
+        shown = stack.enter_context(_progress("capture", len(nominal), options))
         with options.opened(session, out) as opened:
             robots.append(opened.robot)
 
@@ -166,6 +222,7 @@ def _every(session: "Trajectory", out: Path, options: "SessionOptions", port: in
                 shown.advance()
                 shown.note(f"view {name}")
 
+            planned = plan(session, opened.carrier, nominal=nominal)
             taken = len(record(session, opened, out, resume=options.resume, planned=planned, advance=advance).frames)
     seconds = time.monotonic() - start
     found = {"recording": str(out), "frames": taken, "seconds": round(seconds, 2), "scene": options.scene or None}

@@ -1,7 +1,8 @@
 """What moves: the arm of a rig with its camera, and what it has to keep clear of by itself, whatever the trajectory."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -9,14 +10,18 @@ from pydantic import Field
 
 from koala3d.capture.model.arm import ArmModel
 from koala3d.capture.model.geometry import Vector
+from koala3d.capture.model.inverse.built import BuiltArm
 from koala3d.capture.model.parts import Part, Shape
 from koala3d.capture.model.solids import Solid
 from koala3d.capture.model.turntable import TurntableDescription
 from koala3d.datasets import pose
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.core.schema import Schema
+from koala3d.datasets.kinematics import Links
 
 Array = NDArray[np.float64]
+MAX_TOOL_SPEED = 0.25
+"""Of the fastest point of the body unless the rig file says otherwise: the limit of reduced speed in ISO 10218-1 [m/s]."""
 BRACKET_RADIUS = 0.025  # of the bracket, a capsule from the flange to the camera's projection centre [m]
 
 
@@ -38,18 +43,26 @@ BODY = (
 
 
 class Cable(Schema):
-    """The camera's cable: how far it may be wound around the arm."""
+    """The camera's cable: how far joints may wind it up.
 
-    max_turns: float = Field(gt=0, le=20, description="most turns by which the cable may be wound up, summed over its joints")
-    joints: list[int] = Field(default=[], description="numbers of the joints that wind it, from 1; empty: the last joint")
+    The first joint winds it around the base and the last one around the wrist; those between bend it. Half a turn to either side
+    takes no view away: whole turns bring each joint of each configuration to within half a turn of its rest.
+    """
+
+    max_turns: float = Field(
+        default=0.5, gt=0, le=20, description="most turns by which each of its joints may wind it up, to either side of its rest"
+    )
+    joints: list[int] = Field(
+        default=[], description="numbers of the joints that wind it, from 1; empty: the first and the last joint"
+    )
     rest_deg: list[float] = Field(default=[], description="their angles where the cable is not wound; empty: zero")
 
     def turns(self, joints: ArrayLike) -> Array:
-        """(...) turns by which the cable is wound at (..., n) joint angles [rad]: the travel of its joints from their rest."""
+        """(...) turns by which the cable is wound at (..., n) joint angles [rad], by the joint that is farthest from its rest."""
         joints = np.asarray(joints, np.float64)
-        winding = [number - 1 for number in self.joints] or [joints.shape[-1] - 1]
+        winding = [number - 1 for number in self.joints] or [0, joints.shape[-1] - 1]
         rest = np.radians(self.rest_deg or np.zeros(len(winding)))
-        return np.asarray(np.abs(joints[..., winding] - rest).sum(-1) / (2 * np.pi))
+        return np.asarray(np.abs(joints[..., winding] - rest).max(-1) / (2 * np.pi))
 
 
 PLATE_RADIUS = 0.02  # of the capsules that make up a plate on the flange [m]
@@ -93,6 +106,29 @@ class Carrier:
     turntable: TurntableDescription | None = None  # what turns the object; None: it stands
     beside: Beside | None = None  # None: the camera is on the flange
     fellows: tuple[Fellow, ...] = ()  # other cameras on the flange; views are planned without them
+    max_tool_speed: float = MAX_TOOL_SPEED  # of the fastest point of arm, camera and plate [m/s]
+    built: BuiltArm | None = None  # the arm with its own links; None: the nominal ones of the model
+
+    def as_built(self, links: Links | None) -> Self:
+        """The same with the calibrated links of an arm; None: with the nominal ones. Raises UsageError: of another model."""
+        return replace(self, built=None if links is None else BuiltArm(self.arm, links))
+
+    @property
+    def links(self) -> Links:
+        """The chain: the arm's own if it is known, else the nominal one."""
+        return self.arm.links if self.built is None else self.built.links
+
+    def forward(self, joints: ArrayLike) -> Array:
+        """(..., 4, 4) `base_from_flange` [m] of (..., n) joint angles [rad]."""
+        return (self.built or self.arm).forward(joints)
+
+    def frames(self, joints: ArrayLike) -> Array:
+        """(..., n + 1, 4, 4) poses of base and links [m]."""
+        return (self.built or self.arm).frames(joints)
+
+    def inverse(self, base_from_flange: ArrayLike) -> Array:
+        """(m, n) joint angles [rad, -pi..pi] of the branches that reach the (4, 4) pose, in or out of limits; m = 0: none."""
+        return (self.built or self.arm).inverse(base_from_flange)
 
     @cached_property
     def shape(self) -> Shape:
@@ -113,11 +149,11 @@ class Carrier:
 
     def base_from_carried(self, joints: ArrayLike) -> Array:
         """(..., 4, 4) nominal pose [m] of the camera, or of the target's middle, at (..., n) joint angles [rad]."""
-        return np.asarray(self.arm.forward(joints) @ self.flange_from_carried)
+        return np.asarray(self.forward(joints) @ self.flange_from_carried)
 
     def base_from_camera(self, joints: ArrayLike) -> Array:
         """(..., 4, 4) nominal camera pose [m] at (..., n) joint angles [rad]."""
-        return self.camera_at(self.arm.forward(joints))
+        return self.camera_at(self.forward(joints))
 
     def camera_at(self, base_from_flange: Array) -> Array:
         """(..., 4, 4) nominal camera pose [m] while the flange is at (..., 4, 4) poses [m]."""
@@ -141,7 +177,7 @@ class Carrier:
 
     def segments(self, joints: ArrayLike) -> Array:
         """(..., parts, 2, 3) ends of the axes of the parts of `shape` in the base [m], at (..., n) joint angles [rad]."""
-        return self.shape.segments(self.arm.frames(joints))
+        return self.shape.segments(self.frames(joints))
 
     def wound(self, joints: ArrayLike) -> Array:
         """(...) turns by which the cable is wound at (..., n) joint angles [rad]; 0 where the cable is no limit."""

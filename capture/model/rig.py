@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pydantic import Field, StringConstraints, model_validator
 
 from koala3d.capture.model.arm import DEFAULT, ArmModel, load_arm, recorded_arm
-from koala3d.capture.model.carrier import BODY, Beside, Cable, CameraCapsule, Carrier, Fellow
+from koala3d.capture.model.carrier import BODY, MAX_TOOL_SPEED, Beside, Cable, CameraCapsule, Carrier, Fellow
 from koala3d.capture.model.device import Device
 from koala3d.capture.model.flaws import Flaws
 from koala3d.capture.model.geometry import PoseDescription
@@ -17,6 +17,7 @@ from koala3d.capture.model.turntable import LampDescription, TurntableDescriptio
 from koala3d.datasets import pose
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.core.schema import Schema, load_yaml, validate
+from koala3d.datasets.kinematics import Links
 from koala3d.datasets.recording import MANIFEST, Recording
 
 Three = tuple[float, float, float]
@@ -63,7 +64,10 @@ class RobotDescription(Schema):
     )
     max_joint_speed: float = Field(default=1.05, gt=0, le=np.pi, description="limit of every joint [rad/s]")
     max_joint_acceleration: float = Field(default=1.4, gt=0, le=10, description="limit of every joint [rad/s^2]")
-    cable: Cable | None = Field(default=None, description="how far the camera's cable may be wound up; null: no limit")
+    max_tool_speed: float = Field(
+        default=MAX_TOOL_SPEED, gt=0, le=3, description="limit of the fastest point of arm, camera and plate [m/s]"
+    )
+    cable: Cable | None = Field(default=Cable(), description="how far the camera's cable may be wound up; null: no limit")
     installation: InstallationDescription = Field(
         default_factory=InstallationDescription, description="settings of the pendant that 'capture doctor' compares"
     )
@@ -208,8 +212,8 @@ class RigDescription(Schema):
             if not all(1 <= joint <= arm.count for joint in cable.joints):
                 why = f"joints {cable.joints}, but the {arm.name} has joints 1 to {arm.count}"
                 raise UsageError("robot.cable.joints names a joint that does not exist", why=why)
-            if cable.rest_deg and len(cable.rest_deg) != max(len(cable.joints), 1):
-                why = f"{len(cable.rest_deg)} angles for {max(len(cable.joints), 1)} joints"
+            if cable.rest_deg and len(cable.rest_deg) != (number := len(cable.joints) or 2):
+                why = f"{len(cable.rest_deg)} angles for {number} joints"
                 raise UsageError("robot.cable.rest_deg needs an angle for each joint of the cable", why=why)
         names = [solid.name for solid in self.obstacles]
         if len(set(names)) < len(names):
@@ -225,7 +229,8 @@ class RigDescription(Schema):
             for name, one in self.cameras.items()
             if name != self.name
         )
-        return Carrier(arm, self.flange_from_camera.matrix(), body, tuple(solids), cable, self.turntable, beside, fellows)
+        mount, speed = self.flange_from_camera.matrix(), self.robot.max_tool_speed
+        return Carrier(arm, mount, body, tuple(solids), cable, self.turntable, beside, fellows, speed)
 
     def lights_on(self, trajectory_lights: list[str] | None) -> tuple[str, ...] | None:
         """Names of the lamps that are on in a trajectory; None where the rig file names no lamps.
@@ -268,8 +273,10 @@ def recorded_rig(recording: Recording) -> RigDescription:
 
 
 def recorded_carrier(recording: Recording) -> Carrier:
-    """The arm of a recording with its camera."""
-    return recorded_rig(recording).carrier(recorded_arm(recording))
+    """The arm of a recording with its camera, and with its own links if the recording has them."""
+    content = recording.manifest.get("links")
+    links = None if content is None else Links.from_json(content, where=f"{recording.path / MANIFEST}, links")
+    return recorded_rig(recording).carrier(recorded_arm(recording)).as_built(links)
 
 
 def load_rig(path: Path | str) -> RigDescription:

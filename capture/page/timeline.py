@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from koala3d.capture.drivers.errors import UnreachableError
 from koala3d.capture.model.carrier import Carrier
 from koala3d.capture.model.trajectory import Trajectory, recorded_trajectory
-from koala3d.capture.planning import PlannedView, arrivals, blocked, duration, move_duration, plan
+from koala3d.capture.planning import PlannedView, arrivals, blocked, duration, plan
+from koala3d.capture.planning.pace import paces
 from koala3d.datasets.recording import Recording, chosen_views
 
 WAIT_S = 1.0  # longest pause of the arm in the playback of a recording, in addition to settling
@@ -74,22 +75,24 @@ def of_trajectory(trajectory: Trajectory, mount: Carrier) -> Timeline:
 def of_planned(trajectory: Trajectory, planned: list[PlannedView], carrier: Carrier) -> Timeline:
     """An existing plan."""
     seconds, joints, stops = [], [], []
-    for view, times in zip(planned, arrivals(trajectory, planned, carrier.turntable), strict=True):
+    for view, times in zip(planned, arrivals(trajectory, planned, carrier), strict=True):
         seconds += times
         joints += [corner for corner in view.path for _ in range(2)]
         base_from_camera = carrier.base_from_camera(view.joints)
         stops.append(ShownView(view.viewpoint.name, view.viewpoint.split, base_from_camera, times[-1]))
-    notes = (f"{len(planned)} views in about {duration(trajectory, planned, carrier.turntable):.0f} s",)
+    notes = (f"{len(planned)} views in about {duration(trajectory, planned, carrier):.0f} s",)
     return Timeline(np.array(seconds), np.array(joints).reshape(-1, carrier.arm.count), tuple(stops), notes)
 
 
-def _without_waits(clock: NDArray[np.float64], joints: NDArray[np.float64], trajectory: Trajectory) -> NDArray[np.float64]:
+def _without_waits(
+    clock: NDArray[np.float64], joints: NDArray[np.float64], trajectory: Trajectory, carrier: Carrier
+) -> NDArray[np.float64]:
     """(n,) times [s] for the playback: those of the clock, with waits of at most `WAIT_S` after motion and settling.
 
     Otherwise an arm that waited for a person, or for a simulated picture, would stand still for most of the playback.
     """
     motion = trajectory.motion
-    moves = [move_duration(motion, float(travel)) for travel in np.abs(np.diff(joints, axis=0)).max(-1, initial=0.0)]
+    moves = [one.seconds for one in paces(list(joints), motion, carrier)]
     longest = np.array(moves) + motion.settle_time_s + WAIT_S
     return np.concatenate([[0.0], np.cumsum(np.minimum(np.diff(clock), longest))])
 
@@ -101,7 +104,7 @@ def of_recording(recording: Recording, carrier: Carrier) -> Timeline:
         return Timeline(np.zeros(0), np.zeros((0, carrier.arm.count)), (), ("no views have been taken yet",))
     trajectory = recorded_trajectory(recording)
     clock = np.array([frame.robot_time_s for frame in frames]) - frames[0].robot_time_s
-    seconds = _without_waits(clock, np.stack([frame.joints for frame in frames]), trajectory)
+    seconds = _without_waits(clock, np.stack([frame.joints for frame in frames]), trajectory, carrier)
     stops, reasons = [], chosen_views(recording)
     for frame, when in zip(frames, seconds, strict=True):
         base_from_camera, image = carrier.camera_at(frame.base_from_flange), recording.image_path(frame)

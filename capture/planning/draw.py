@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from koala3d.capture.model.solids import Solid
 from koala3d.capture.planning.obstacles import Obstacles
+from koala3d.capture.planning.paths import least_margin
 from koala3d.capture.planning.plan import PlannedView
 from koala3d.datasets.core import files
 
@@ -42,7 +43,7 @@ def _paths(planned: list[PlannedView]) -> list[NDArray[np.float64]]:
     return paths
 
 
-def _pyramid(base_from_camera: NDArray[np.float64]) -> NDArray[np.float64]:
+def pyramid(base_from_camera: NDArray[np.float64]) -> NDArray[np.float64]:
     """(8, 2, 3) edges of a small view frustum [m]."""
     half = 0.6 * FRUSTUM_M
     signs = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
@@ -136,8 +137,13 @@ def _camera_track(path: NDArray[np.float64], obstacles: Obstacles) -> NDArray[np
 
 def page(planned: list[PlannedView], obstacles: Obstacles, path: Path, *, title: str) -> None:
     """Write one HTML file that shows arm, views and paths in three dimensions and loads nothing."""
+    write_page(path, _scene(planned, obstacles, title))
+
+
+def write_page(path: Path, scene: dict[str, Any]) -> None:
+    """Write the page of a scene: `surroundings`, `views`, and the cells that are `swept`."""
     template = (package_files("koala3d.capture") / "planning" / "plan.html").read_text(encoding="utf-8")
-    content = json.dumps(_scene(planned, obstacles, title), separators=(",", ":")).replace("</", "<\\/")
+    content = json.dumps(scene, separators=(",", ":")).replace("</", "<\\/")
     files.write_text(path, template.replace("/*SCENE*/null", content))
 
 
@@ -145,24 +151,41 @@ def _scene(planned: list[PlannedView], obstacles: Obstacles, title: str) -> dict
     """What the page draws, lengths in metres rounded to 0.1 mm."""
     cameras = _cameras(planned, obstacles)
     start = np.repeat(planned[0].joints[None], STEPS, axis=0)
+    ends = [planned[0].joints, *(view.joints for view in planned[:-1])]
+    rooms = [least_margin(np.array([end, *view.path]), obstacles) for end, view in zip(ends, planned, strict=True)]
     views = [
         {
-            "name": view.viewpoint.name,
+            **still(view.viewpoint.name, view.joints, obstacles.carrier.segments(path), room),
             "split": view.viewpoint.split,
             "colour": COLOURS.get(view.viewpoint.split, "#000000"),
-            "joints_deg": np.degrees(view.joints).round(1).tolist(),
-            "edges": _pyramid(pose).round(4).tolist(),
-            "arm": obstacles.carrier.segments(path).round(4).tolist(),
+            "edges": pyramid(pose).round(4).tolist(),
             "track": _camera_track(path, obstacles).round(4).tolist(),
-            "room_mm": round(1e3 * float(obstacles.margin(path).min()), 1),
         }
-        for view, path, pose in zip(planned, [start, *_paths(planned)], cameras, strict=True)
+        for view, room, path, pose in zip(planned, rooms, [start, *_paths(planned)], cameras, strict=True)
     ]
+    return {**surroundings(obstacles, title), "views": views, "swept": []}
+
+
+def still(name: str, joints: NDArray[np.float64], arm: NDArray[np.float64], room: float) -> dict[str, Any]:
+    """A view of the page: (n,) joint angles [rad], (..., parts, 2, 3) ends of the arm's parts at each step [m], margin [m]."""
+    return {
+        "name": name,
+        "split": "candidate",
+        "colour": COLOURS["train"],
+        "joints_deg": np.degrees(joints).round(1).tolist(),
+        "edges": [],
+        "arm": arm.reshape(-1, *arm.shape[-3:]).round(4).tolist(),
+        "track": [],
+        "room_mm": round(1e3 * float(room), 1),
+    }
+
+
+def surroundings(obstacles: Obstacles, title: str) -> dict[str, Any]:
+    """What the page shows around the arm."""
     box = obstacles.object_corners
     return {
         "title": title,
         "radii": obstacles.shape.radii.tolist(),
-        "views": views,
         "table_z": obstacles.table_z,
         "ceiling_z": obstacles.ceiling_z,
         "up": obstacles.up,

@@ -3,7 +3,8 @@
 Lengths in metres, base frame.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,6 +14,8 @@ from koala3d.capture.model.distances import box_distance, segment_distance, sigh
 from koala3d.capture.model.parts import Shape
 from koala3d.capture.model.trajectory import Trajectory
 from koala3d.capture.model.turntable import required
+from koala3d.capture.planning.swept import Sweep
+from koala3d.datasets.kinematics import Links
 
 Array = NDArray[np.float64]
 
@@ -55,6 +58,10 @@ class Obstacles:
             base_from_middle=trajectory.base_from_middle,
         )
 
+    def as_built(self, links: Links | None) -> "Obstacles":
+        """The same for an arm with its own links; see `Carrier.as_built`."""
+        return replace(self, carrier=self.carrier.as_built(links))
+
     def flange_for(self, base_from_camera: Array) -> Array:
         """(4, 4) flange pose [m] for a wanted camera pose; see `Carrier.flange_for`."""
         return self.carrier.flange_for(base_from_camera, self.base_from_middle)
@@ -66,37 +73,65 @@ class Obstacles:
 
     def margins(self, joints: ArrayLike) -> dict[str, Array]:
         """Distances minus the clearance [m] for (m, n) joint angles: (m,) by the name of the pair. Negative: too close."""
+        return _by_name(self.pairs, self.rooms(joints))
+
+    def rooms(self, joints: ArrayLike) -> Array:
+        """(m, k) distances minus the clearance [m] of the `pairs`, for (m, n) joint angles."""
         shape, ends = self.shape, self.carrier.segments(joints)
-        on_table = [index for index, part in enumerate(shape.parts) if part.checks_table]
-        free = [index for index, part in enumerate(shape.parts) if part.checks_object]
-        room: dict[str, Array] = {}
-        for name, z, away in (("table", self.table_z, self.up), ("ceiling", self.ceiling_z, -self.up)):
-            if z is not None:
-                height = (away * (ends[..., on_table, :, :][..., 2] - z)).min(-1) - shape.radii[on_table]
-                room |= _by_part(shape, height, on_table, f" to {name}")
+        on_table, free = self._checked
+        found = [(away * (ends[..., on_table, :, :][..., 2] - z)).min(-1) - shape.radii[on_table] for _, z, away in self._planes]
         if self.object_corners is not None:
-            room |= _by_part(
-                shape, box_distance(ends[..., free, :, :], self.object_corners) - shape.radii[free], free, " to object"
-            )
-        for solid in self.carrier.solids:
-            room |= _by_part(shape, solid.distance(ends[..., free, :, :]) - shape.radii[free], free, f" to {solid.name}")
+            found.append(box_distance(ends[..., free, :, :], self.object_corners) - shape.radii[free])
+        found += [solid.distance(ends[..., free, :, :]) - shape.radii[free] for solid in self.carrier.solids]
         first, second = np.array(shape.pairs).T
-        gap = segment_distance(ends[..., first, :, :], ends[..., second, :, :]) - shape.radii[first] - shape.radii[second]
-        names = [part.name for part in shape.parts]
-        room |= {f"{names[a]} to {names[b]}": gap[..., place] for place, (a, b) in enumerate(shape.pairs)}
+        gap = segment_distance(ends[..., first, :, :], ends[..., second, :, :])
+        found.append(gap - shape.radii[first] - shape.radii[second])
         if self.workspace_corners is not None:
             camera = ends[..., shape.index["bracket"], 1, :]
             low, high = self.workspace_corners
-            room["camera to the edge of the workspace"] = np.minimum(camera - low, high - camera).min(-1)
-        return {name: value - self.clearance_m for name, value in room.items()}
+            found.append(np.minimum(camera - low, high - camera).min(-1, keepdims=True))
+        return np.asarray(np.concatenate(found, axis=-1) - self.clearance_m)
+
+    @cached_property
+    def pairs(self) -> list[str]:
+        """Names of the pairs that `rooms` is about; several capsules of one body may share a name."""
+        (on_table, free), parts = self._checked, self.shape.parts
+        found = [f"{parts[index].name} to {name}" for name, _, _ in self._planes for index in on_table]
+        bodies = ["object"] * (self.object_corners is not None) + [solid.name for solid in self.carrier.solids]
+        found += [f"{parts[index].name} to {name}" for name in bodies for index in free]
+        found += [f"{parts[first].name} to {parts[second].name}" for first, second in self.shape.pairs]
+        return found + ["camera to the edge of the workspace"] * (self.workspace_corners is not None)
+
+    @property
+    def _planes(self) -> list[tuple[str, float, int]]:
+        """Name and z [m] of table and ceiling, and the sign of the direction in which the arm is away from them."""
+        planes = (("table", self.table_z, self.up), ("ceiling", self.ceiling_z, -self.up))
+        return [(name, z, away) for name, z, away in planes if z is not None]
+
+    @property
+    def _checked(self) -> tuple[list[int], list[int]]:
+        """Places of the parts that could reach table or ceiling, and of those that could reach other bodies."""
+        parts = list(enumerate(self.shape.parts))
+        return [index for index, part in parts if part.checks_table], [index for index, part in parts if part.checks_object]
+
+    @cached_property
+    def sweep(self) -> Sweep:
+        """What moves in each of the `pairs`. A distance changes no faster than this part moves."""
+        (on_table, free), shape = self._checked, self.shape
+        bodies = (self.object_corners is not None) + len(self.carrier.solids)
+        alone = on_table * len(self._planes) + free * bodies
+        edge = [] if self.workspace_corners is None else [shape.index["bracket"]]
+        parts = [*alone, *(first for first, _ in shape.pairs), *edge]
+        links = [*[0] * len(alone), *(shape.parts[second].link for _, second in shape.pairs), *[0] * len(edge)]
+        return Sweep(self.carrier, np.array(parts), np.array(links))
 
     def margin(self, joints: ArrayLike) -> Array:
         """(m,) smallest of the `margins` [m] for (m, n) joint angles."""
-        return np.min(list(self.margins(joints).values()), axis=0)
+        return np.asarray(self.rooms(joints).min(axis=-1))
 
     def free(self, joints: ArrayLike) -> NDArray[np.bool_]:
         """(m,) whether (m, n) joint angles keep clear of everything and within the limits of joints and cable."""
-        return (self.margin(joints) >= 0) & self.carrier.permitted(joints)
+        return np.asarray((self.margin(joints) >= 0) & self.carrier.permitted(joints))
 
     def sights(self, joints: ArrayLike) -> dict[str, Array]:
         """Distances between the arm and the camera's sight of the object [m] for (m, n) joint angles: (m,) by part.
@@ -109,7 +144,7 @@ class Obstacles:
         hiding = [index for index, part in enumerate(shape.parts) if part.can_hide]
         eye = np.broadcast_to(ends[..., shape.index["bracket"], None, 1, :], (*ends.shape[:-3], len(hiding), 3))
         distance = sight_distance(ends[..., hiding, :, :], eye, self.object_corners)
-        return _by_part(shape, distance - shape.radii[hiding], hiding)
+        return _by_name([shape.parts[index].name for index in hiding], distance - shape.radii[hiding])
 
     def sight(self, joints: ArrayLike) -> Array:
         """(m,) smallest of the `sights` [m]; infinite without an object."""
@@ -124,9 +159,12 @@ class Obstacles:
         return _smallest(self.margins(np.asarray(joints)[None]))
 
 
-def _by_part(shape: Shape, values: Array, indices: list[int], suffix: str = "") -> dict[str, Array]:
-    """(..., parts) values of the parts with the given indices, as (...) values by label."""
-    return {shape.parts[index].name + suffix: values[..., place] for place, index in enumerate(indices)}
+def _by_name(names: list[str], values: Array) -> dict[str, Array]:
+    """The smallest of (..., k) values under each name, (...)."""
+    found: dict[str, Array] = {}
+    for place, name in enumerate(names):
+        found[name] = np.minimum(found[name], values[..., place]) if name in found else values[..., place]
+    return found
 
 
 def _smallest(values: dict[str, Array]) -> tuple[str, float]:

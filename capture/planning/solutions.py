@@ -26,6 +26,14 @@ class Solutions:
     rolls: NDArray[np.int64]  # (m,) index of the roll of the view that each of them takes
     reason: str = ""  # why none of them can be used; empty if all can
 
+    def within(self, mount: Carrier, roll: int) -> "Solutions":
+        """Those within the limit of the cable: with this roll if there are any, else with any roll; without any, the reason."""
+        permitted = mount.permitted(self.joints)
+        keep = permitted & (self.rolls == roll)
+        keep = keep if keep.any() else permitted
+        reason = "" if keep.any() else mount.forbidden(self.joints[int(mount.wound(self.joints).argmin())])
+        return Solutions(self.viewpoint, self.joints[keep], self.rolls[keep], reason)
+
     def taken_by(self, index: int, mount: Carrier) -> Viewpoint:
         """The view with the camera pose that one of the configurations reaches."""
         wanted = self.viewpoint
@@ -45,7 +53,7 @@ def solve(viewpoint: Viewpoint, obstacles: Obstacles) -> Solutions:
     assert viewpoint.base_from_camera is not None  # a viewpoint has either
     carrier = obstacles.carrier
     flanges = [obstacles.flange_for(_turned(viewpoint.base_from_camera, roll)) for roll in viewpoint.rolls]
-    branches = [carrier.arm.inverse(base_from_flange) for base_from_flange in flanges]
+    branches = [carrier.inverse(base_from_flange) for base_from_flange in flanges]
     joints = np.concatenate(branches)
     rolls = np.repeat(np.arange(len(branches)), [len(b) for b in branches])
     if not len(joints):
@@ -63,7 +71,7 @@ def solve(viewpoint: Viewpoint, obstacles: Obstacles) -> Solutions:
     if (sight < 0).all():
         hiding = obstacles.hiding(joints[int(sight.argmax())])
         return Solutions(viewpoint, joints, rolls, f"{hiding} hides the object from the camera")
-    keep = (sight >= 0) & (kinematics.singularity(joints, carrier.arm.links) >= MIN_SINGULARITY)
+    keep = (sight >= 0) & (kinematics.singularity(joints, carrier.links) >= MIN_SINGULARITY)
     if not keep.any():
         return Solutions(viewpoint, joints, rolls, "only next to a singular configuration")
     return _with_turns(viewpoint, joints[keep], rolls[keep], carrier)

@@ -13,8 +13,6 @@ from koala3d.datasets.recording import MANIFEST, Recording
 
 log = logging.getLogger(__name__)
 CONNECTED_AGAIN = "connected again"
-CAREFUL_RAD_S = 0.1
-"""Speed of the fastest joint on the first move after an incident: nobody has seen meanwhile what stands around the arm."""
 PAUSE_S = 1.0  # before connecting again: what made the stream hiccup may need a moment
 IDENTITY = ("model", "serial", "tcp_offset")
 

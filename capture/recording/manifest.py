@@ -4,7 +4,7 @@ from datetime import datetime
 from importlib.metadata import version
 from typing import Any
 
-from koala3d.capture.model.carrier import Carrier
+from koala3d.capture.model.carrier import MAX_TOOL_SPEED, Carrier
 from koala3d.capture.model.rig import InstallationDescription, RigDescription, RobotDescription, recorded_rig
 from koala3d.capture.model.trajectory import Trajectory, recorded_trajectory
 from koala3d.capture.rig.rig import Rig
@@ -34,6 +34,7 @@ def manifest_of(trajectory: Trajectory, rig: Rig) -> dict[str, Any]:
         "trajectory": trajectory.model_dump(mode="json"),
         "rig": {"name": rig.name, **rig.description.model_dump(mode="json")},
         "arm": rig.carrier.arm.model_dump(mode="json"),
+        "links": None if rig.links is None else rig.links.to_json(),
         "camera": {**rig.camera.description(), "lens": rig.description.camera.lens},
         "robot": rig.robot.description(),
         "turntable": None if rig.turntable is None else rig.turntable.description(),
@@ -91,6 +92,7 @@ def _anywhere(rig: RigDescription) -> RigDescription:
     The measured response is left out too: the recording keeps its own."""
     plain: dict[str, Any] = {"host": "anywhere", "client": "auto", "installation": InstallationDescription()}
     plain |= {key: RobotDescription.model_fields[key].default for key in ("registers", "stream_deadline_s", "watchdog_hz")}
+    plain |= {"cable": None, "max_tool_speed": MAX_TOOL_SPEED}  # how the arm comes to a view is not in the pictures
     blank = {"lens": "", "firmware": "", "radiometry": ""}
     robot, camera = rig.robot.model_copy(update=plain), rig.camera.model_copy(update=blank)
     cameras = {name: one.model_copy(update=blank) for name, one in rig.cameras.items()}

@@ -16,7 +16,7 @@ from koala3d.capture.drivers.errors import CaptureError, ConnectionLapse, Motion
 from koala3d.capture.drivers.measurements import Image, Pixels, RobotState
 from koala3d.capture.model.trajectory import CameraSettings, Motion, Trajectory
 from koala3d.capture.planning import Obstacles, PlannedView, connect, plan
-from koala3d.capture.recording.incidents import CAREFUL_RAD_S, Incidents
+from koala3d.capture.recording.incidents import Incidents
 from koala3d.capture.recording.manifest import manifest_of, require_same_session
 from koala3d.capture.recording.writer import Advance, TakenView, Writer
 from koala3d.capture.rig.rig import Rig
@@ -112,41 +112,35 @@ class _Visits:
     obstacles: Obstacles
     incidents: Incidents
 
-    def taken(
-        self, view: PlannedView, number: int, path: list[NDArray[np.float64]] | None, *, first_speed: float = np.inf
-    ) -> TakenView | None:
+    def taken(self, view: PlannedView, number: int, path: list[NDArray[np.float64]] | None) -> TakenView | None:
         """The pictures of a view; None: it is left out.
+
+        After whatever went wrong, `Moves` begins slowly.
 
         Args:
             path: joint angles on the way [rad], the view's own at the end; None: it is planned from where the arm is.
-            first_speed: limit for the first move [rad/s].
         """
-        name = view.viewpoint.name
-        try:
-            if path is None:
-                path = connect(self.rig.robot.state().joints, view.joints, self.obstacles, where=f"view {name}")
-            self._go(path, first_speed)
-            _turn(self.rig, view)
-            return _expose(self.recordings, self.rig, number, view, time.monotonic_ns(), self.trajectory)
-        except NotSettled as error:
-            self.incidents.leave_out(name, error)
-            return None
-        except ConnectionLapse as lapse:
-            self.incidents.connect_again(name, lapse)
-        return self.taken(view, number, None, first_speed=CAREFUL_RAD_S)
-
-    def _go(self, path: list[NDArray[np.float64]], first_speed: float) -> None:
-        """Move along a path. An arm that does not come to rest is sent to the same place once more."""
-        motion, robot, is_second = self.trajectory.motion, self.rig.robot, False
-        for number, joints in enumerate(path):
-            speed = motion.speed if number else min(motion.speed, first_speed)
+        name, is_second = view.viewpoint.name, False
+        while True:
             try:
-                robot.move_to(joints, speed=speed, acceleration=motion.acceleration)
-            except NotSettled:
+                self._go(view, path)
+                _turn(self.rig, view)
+                return _expose(self.recordings, self.rig, number, view, time.monotonic_ns(), self.trajectory)
+            except NotSettled as error:
                 if is_second:
-                    raise
+                    self.incidents.leave_out(name, error)
+                    return None
                 is_second = True
-                robot.move_to(joints, speed=speed, acceleration=motion.acceleration)
+            except ConnectionLapse as lapse:
+                self.incidents.connect_again(name, lapse)
+            path = None
+
+    def _go(self, view: PlannedView, path: list[NDArray[np.float64]] | None) -> None:
+        where, rig = f"view {view.viewpoint.name}", self.rig
+        if path is None:
+            path = connect(rig.robot.state().joints, view.joints, self.obstacles, where=where)
+        if path:
+            rig.moves.along(rig.robot, path, self.trajectory.motion, self.obstacles, view=where)
 
 
 def _taken(recordings: Sequence[Recording | None]) -> set[str]:

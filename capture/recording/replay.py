@@ -15,6 +15,7 @@ from koala3d.capture.model.carrier import Carrier
 from koala3d.capture.model.rig import RigDescription, recorded_carrier
 from koala3d.capture.model.trajectory import recorded_trajectory
 from koala3d.capture.planning import Obstacles, connect
+from koala3d.capture.rig.moves import Moves
 from koala3d.datasets import pose
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import UsageError
@@ -96,6 +97,7 @@ def replay(
     obstacles: Obstacles,
     *,
     truth: Callable[[], Any] | None = None,
+    moves: Moves | None = None,
     advance: Callable[[Deviation], None] = lambda one: None,
 ) -> list[Deviation]:
     """Move to the recorded joint angles of every frame, in recorded order, on collision-free paths.
@@ -104,16 +106,16 @@ def replay(
         recording: its trajectory defines speed and settling.
         obstacles: of the rig that repeats it, see `obstacles_around`.
         truth: simulation only: returns the true flange pose, (4, 4) [m].
+        moves: how the arm moves; None: with the recorded speeds.
 
     Raises PlanningError: something is in the way, nothing has moved; CaptureError: the recording has no frames, or the arm failed
     and stands still.
     """
     paths = _paths(recording, robot.state().joints, obstacles)
     true_poses = _true_poses(recording) if truth is not None else {}
-    motion, deviations = recorded_trajectory(recording).motion, []
+    motion, deviations, moves = recorded_trajectory(recording).motion, [], moves or Moves()
     for frame, path in zip(recording.frames, paths, strict=True):
-        for joints in path:
-            robot.move_to(joints, speed=motion.speed, acceleration=motion.acceleration)
+        moves.along(robot, path, motion, obstacles, view=f"view {frame.name}")
         state = robot.state()
         distance, angle = pose.difference(state.base_from_flange, frame.base_from_flange)
         true_mm = None

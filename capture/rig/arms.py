@@ -50,6 +50,17 @@ def arm_of(
     return UniversalRobot(controller.host, frequency=125.0, **options)
 
 
+def require_payload(description: RigDescription, name: str, controller: "Simulation | None") -> None:
+    """Raise UsageError if a real arm is to move and its rig file does not state what it carries.
+
+    The controller's own value is compared with it before each session, since any program may have left another one there.
+    """
+    if controller is None and description.arm.family == "ur" and description.robot.installation.payload_kg is None:
+        why = "with a wrong payload the arm stops for safety, and sags"
+        remedy = "weigh camera, lens, bracket and plug, or read what 'capture doctor' finds at the pendant, and enter it in kg"
+        raise UsageError("robot.installation.payload_kg is not stated", where=name, why=why, remedy=remedy)
+
+
 @contextmanager
 def open_arm(
     name: str,
@@ -59,6 +70,7 @@ def open_arm(
     links_seed: int,
     time_scale: float,
     examine: Examination = unexamined,
+    take_over: bool = False,
 ) -> Iterator[tuple[Robot, "Simulation | None"]]:
     """Connect only the arm. The second value is the simulated controller, or None for a real arm.
 
@@ -68,9 +80,10 @@ def open_arm(
     description = describe(name)
     hangs = trajectory.upwards < 0
     with controller_of(name, description, hangs=hangs, seed=seed, time_scale=time_scale, links_seed=links_seed) as controller:
+        require_payload(description, name, controller)
         examine(description, host_of(description, controller), controller is not None)
         with (
             device_lock(f"arm-{description.robot.host}", "arm", controller),
-            arm_of(description, trajectory, controller) as robot,
+            arm_of(description, trajectory, controller, take_over) as robot,
         ):
             yield robot, controller

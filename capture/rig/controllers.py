@@ -90,7 +90,10 @@ def write_simulated_rig(
     files.refuse_existing(path)
     simulation = {"side_port": controller.side_port, "scene": scene, "seed": seed}
     rig = rig or RigDescription()
-    own = {"host": controller.host, **rig.robot.model_dump(mode="json", include={"model"}, exclude_defaults=True)}
+    own = {
+        "host": controller.host,
+        **rig.robot.model_dump(mode="json", include={"model", "cable", "max_tool_speed"}, exclude_defaults=True),
+    }
     kept = {"camera", "flange_from_camera", "cameras", "beside", "obstacles", "turntable", "lights"}
     rest = rig.model_dump(mode="json", include=kept, exclude_defaults=True)
     content = {"robot": own, **rest, "simulation": simulation}

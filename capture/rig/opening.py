@@ -8,11 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 from koala3d.capture.drivers.errors import naming
 from koala3d.capture.drivers.protocols import Turntable
+from koala3d.capture.model.rig import RigDescription
 from koala3d.capture.model.trajectory import Trajectory
 from koala3d.capture.model.turntable import TurntableDescription, required
-from koala3d.capture.rig.arms import Examination, arm_of, unexamined
+from koala3d.capture.rig.arms import Examination, arm_of, require_payload, unexamined
 from koala3d.capture.rig.cameras import camera_in
 from koala3d.capture.rig.controllers import controller_of, device_lock, host_of
+from koala3d.capture.rig.links import reported_links
+from koala3d.capture.rig.moves import Moves
 from koala3d.capture.rig.naming import describe
 from koala3d.capture.rig.rig import Rig
 from koala3d.datasets.core.errors import UsageError
@@ -33,6 +36,7 @@ def open_rig(
     examine: Examination = unexamined,
     take_over: bool = False,
     radiometry: Path | None = None,
+    moves: Moves | None = None,
 ) -> Iterator[Rig]:
     """Connect cameras, arm and turntable, in this order; leaving the context closes all.
 
@@ -44,21 +48,17 @@ def open_rig(
         examine: called before anything is connected; may refuse by raising. What it ignores is for the manifest.
         take_over: end a program that runs on the controller; else the arm is left to it.
         radiometry: measured response of the camera, in place of the one that the rig file names.
+        moves: how the arm moves; None: with the speeds of the trajectory.
 
-    Raises UsageError: `radiometry` for several cameras, or views that turn a turntable which the rig lacks. KoalaError names
-    the camera that could not be opened.
+    Raises UsageError: `radiometry` for several cameras, views that turn a turntable which the rig lacks, or a real arm whose
+    payload nobody states. KoalaError names the camera that could not be opened.
     """
-    description = describe(name)
-    if radiometry is not None:
-        if description.cameras:
-            remedy = "leave --radiometry out, and write 'radiometry' below each camera in the rig file"
-            raise UsageError("one response for several cameras", where=radiometry, remedy=remedy)
-        camera = description.camera.model_copy(update={"radiometry": str(radiometry)})
-        description = description.model_copy(update={"camera": camera})
+    description = _with_response(describe(name), radiometry)
     table = required(description.turntable, trajectory.name) if trajectory.turns else None
     hangs = trajectory.upwards < 0
     with controller_of(name, description, hangs=hangs, seed=seed, time_scale=time_scale) as controller:
-        ignored = dict(examine(description, host_of(description, controller), controller is not None))
+        require_payload(description, name, controller)
+        ignored = dict(examine(description, host := host_of(description, controller), controller is not None))
         simulation = description.simulation
         running = simulation is not None and simulation.side_port is not None
         seed = simulation.seed if simulation is not None and running else seed
@@ -73,16 +73,28 @@ def open_rig(
                     opened[camera_name] = stack.enter_context(camera), one, truth
             stack.enter_context(device_lock(f"arm-{description.robot.host}", "arm", controller))
             robot = stack.enter_context(arm_of(description, trajectory, controller, take_over))
+            links, moves = reported_links(description, host), moves or Moves()
             driven = table if turned is None else turned.reached
             turntable = stack.enter_context(_turntable(driven))  # last, since it may turn to find its zero
             extra: dict[str, Any] = {} if controller is None else {"scene": scene, "seed": seed}
             extra |= {IGNORED: ignored} if ignored else {}
             rigs = {
-                camera_name: Rig(robot, camera, one, name, truth, extra, turntable)
+                camera_name: Rig(robot, camera, one, name, truth, extra, turntable, links, moves)
                 for camera_name, (camera, one, truth) in opened.items()
             }
             first = next(iter(rigs.values()))
             yield replace(first, cameras=rigs) if description.cameras else first
+
+
+def _with_response(description: RigDescription, radiometry: Path | None) -> RigDescription:
+    """The rig with a measured response of its camera; None: with its own. Raises UsageError: it has several cameras."""
+    if radiometry is None:
+        return description
+    if description.cameras:
+        remedy = "leave --radiometry out, and write 'radiometry' below each camera in the rig file"
+        raise UsageError("one response for several cameras", where=radiometry, remedy=remedy)
+    camera = description.camera.model_copy(update={"radiometry": str(radiometry)})
+    return description.model_copy(update={"camera": camera})
 
 
 def _turntable(table: TurntableDescription | None) -> AbstractContextManager[Turntable | None]:

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from koala3d.capture.drivers.protocols import Camera, GroundTruth, Robot, Turntable
 from koala3d.capture.model.carrier import Carrier
 from koala3d.capture.model.rig import RigDescription
+from koala3d.capture.rig.moves import Moves
+from koala3d.datasets.kinematics import Links
 
 
 @dataclass(frozen=True)
@@ -22,6 +24,8 @@ class Rig:
     ground_truth: GroundTruth | None = None  # only in a simulation
     extra: dict[str, Any] = field(default_factory=dict)  # more entries for the manifest: the scene and seed of a simulation
     turntable: Turntable | None = None  # connected where the trajectory turns the object
+    links: Links | None = None  # of this arm as it was built; None: they are not known
+    moves: Moves = field(default_factory=Moves)  # what moves the arm
     cameras: "dict[str, Rig]" = field(default_factory=dict)  # the rig as each camera has it, by name; empty: there is one camera
 
     @property
@@ -32,7 +36,7 @@ class Rig:
     @property
     def carrier(self) -> Carrier:
         """The arm with its camera and what stands around it."""
-        return self.description.carrier()
+        return self.description.carrier().as_built(self.links)
 
     @property
     def flange_from_camera(self) -> NDArray[np.float64]:

@@ -1,12 +1,16 @@
 """How a command that records a session opens its rig: examined first, and closed at the end."""
 
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from koala3d.datasets.core import console
+
 if TYPE_CHECKING:
     from koala3d.capture.model.trajectory import Trajectory
+    from koala3d.capture.rig.moves import Moves, NextMove
     from koala3d.capture.rig.rig import Rig
 
 
@@ -22,6 +26,14 @@ class SessionOptions:
     take_over: bool = False
     resume: bool = False
     ignore: tuple[str, ...] = ()
+    slow: float = 1.0
+    ask: "Callable[[NextMove], bool] | None" = None
+
+    def moves(self) -> "Moves":
+        """What moves the arm; says on the terminal what its first move will be."""
+        from koala3d.capture.rig.moves import Moves
+
+        return Moves(self.slow, self.ask, lambda words: console.hint(f"resuming; {words}" if self.resume else words))
 
     def opened(self, trajectory: "Trajectory", out: Path) -> "AbstractContextManager[Rig]":
         """The rig of a session that writes to `out`. Entering raises CaptureError where it is not ready."""
@@ -38,4 +50,5 @@ class SessionOptions:
             examine=examination(out, trajectory.upwards, encoded, self.take_over, ignore=self.ignore),
             take_over=self.take_over,
             radiometry=self.radiometry,
+            moves=self.moves(),
         )

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from koala3d.capture.model.carrier import Carrier
 from koala3d.capture.model.rig import RigDescription
 from koala3d.capture.model.trajectory import Trajectory, load_trajectory
-from koala3d.capture.planning import Obstacles, connect, move_duration, plan
+from koala3d.capture.planning import Obstacles, Pace, connect, plan
 from koala3d.capture.planning.durations import READOUT_S
 from koala3d.capture.sessions.calibrate import loop
 from koala3d.capture.sessions.calibrate.adviser import Adviser
@@ -66,7 +66,7 @@ class RehearsedArm:
         """Fly to one view. Raises PlanningError where no path leads to it."""
         motion = self.trajectory.motion
         for corner in connect(self.present, joints, self.obstacles):
-            self.seconds += move_duration(motion, float(np.abs(corner - self.present).max())) + motion.settle_time_s
+            self.seconds += Pace.of(self.present, corner, motion, self.obstacles.carrier).seconds + motion.settle_time_s
             self.present = corner
         self.seconds += self.trajectory.camera.exposure_us * 1e-6 + READOUT_S
         self.flown.append(self.obstacles.carrier.arm.forward(joints))

@@ -1,1 +1,1 @@
-"""Inverse kinematics: the solver for an arm, and the two that need no library."""
+"""Inverse kinematics: the solver for an arm, the two that need no library, and that of an arm with links of its own."""

@@ -40,7 +40,7 @@ def of_plan(
     check(session)
     eye = eye_of(mount.flange_from_camera, calibration)
     views = [view.joints for view in planned if view.viewpoint.split == "train"]
-    cameras = np.stack([eye(mount.arm.forward(joints), joints) for joints in views])
+    cameras = np.stack([eye(mount.forward(joints), joints) for joints in views])
     return covered_after(surface_of(mesh, session, scale), cameras, lens_of(session, calibration))
 
 

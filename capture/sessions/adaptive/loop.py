@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from koala3d.capture.drivers.errors import PlanningError
 from koala3d.capture.model.trajectory import Motion
-from koala3d.capture.planning import Obstacles, move_duration
+from koala3d.capture.planning import Obstacles, Pace, move_duration
 from koala3d.capture.sessions.adaptive import gain
 from koala3d.capture.sessions.adaptive.candidates import ReachableView, see, seen_from
 from koala3d.capture.sessions.adaptive.gain import Coverage, Seen
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 ANGLES = 0.1
 """Worth of a new viewing direction on a place, relative to the worth of a first view of it."""
 PRICE = 0.0005
-"""What a second of travel costs, as a share of the surface."""
+"""What a second of travel at the speed of the trajectory costs, as a share of the surface."""
 LEAST = 0.001
 """A view that adds less than this share of the surface adds nothing."""
 MOST = 999  # views of a session: their names have three digits
@@ -170,22 +170,21 @@ def run(
         angles = ANGLES * gain.angle_gains(known.places, known.changing, taken, seen, nearest)
         if (surface + angles).max(initial=0.0) < LEAST:
             return CoverageOutcome(NOTHING, coverage, known)
-        last = _take(reach.candidates, arm, surface, angles, coverage.covered, motion)
+        last = _take(reach, arm, surface, angles, coverage.covered, motion)
         if last is None:
             return CoverageOutcome(NO_PATH, coverage, known)
 
 
-def _take(
-    candidates: list[ReachableView], arm: ViewTaker, surface: Array, angles: Array, covered: float, motion: Motion
-) -> Why | None:
+def _take(reach: CandidateViews, arm: ViewTaker, surface: Array, angles: Array, covered: float, motion: Motion) -> Why | None:
     """Take the view with the largest gain less its travel; None where no path leads to one that adds something."""
     present = arm.joints()
-    ends = [one.solutions.joints[one.nearest(present)] for one in candidates]
+    ends = [one.solutions.joints[one.nearest(present)] for one in reach.candidates]
     seconds = np.array([move_duration(motion, float(np.abs(end - present).max())) for end in ends])
     order = np.argsort(-(surface + angles - PRICE * seconds), kind="stable")
     useful = (index for index in order if surface[index] + angles[index] >= LEAST)
     for index in itertools.islice(useful, PATHS):
-        why = Why("gain", float(surface[index]), float(angles[index]), float(seconds[index]), covered)
+        travel = Pace.of(present, ends[index], motion, reach.obstacles.carrier).seconds
+        why = Why("gain", float(surface[index]), float(angles[index]), travel, covered)
         try:
             arm.choose(ends[index], why)
         except PlanningError:

@@ -4,6 +4,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from koala3d.capture.drivers.errors import UnreachableError
 from koala3d.capture.model.trajectory import Trajectory
 from koala3d.capture.planning import Obstacles
@@ -14,6 +16,7 @@ from koala3d.capture.sessions.adaptive.loop import CandidateViews, CoverageGoal,
 from koala3d.capture.sessions.adaptive.recording import ChosenRecording
 from koala3d.capture.sessions.adaptive.shape import Shape, eye_of
 from koala3d.capture.sessions.adaptive.tour import TourView, tour
+from koala3d.capture.sessions.preview import show_reach
 from koala3d.capture.sessions.start import SessionOptions
 from koala3d.datasets.calibration import Calibration
 from koala3d.datasets.core import console
@@ -34,19 +37,16 @@ def run(
     Raises UsageError: `out` holds something else, or the trajectory is of another kind. CaptureError: an error of the rig; the
     arm stands still, and `out` can be resumed.
     """
-    from koala3d.capture.rig.naming import describe
-
     check(trajectory)
-    carrier = describe(options.rig).carrier()
-    eye = eye_of(carrier.flange_from_camera, calibration)
-    shape = Shape(trajectory, out, eye, calibration)
-    obstacles = Obstacles.of(trajectory, carrier)
-    reach = CandidateViews(_reachable(trajectory, obstacles), obstacles, eye)
-    first, lost = tour(trajectory, carrier)
-    if lost:
-        console.hint(f"{lost} test views of the trajectory cannot be taken and are left out")
     with options.opened(trajectory, out) as rig:
-        recording = ChosenRecording(trajectory, rig, out, shape)
+        eye = eye_of(rig.flange_from_camera, calibration)
+        recording = ChosenRecording(trajectory, rig, out, Shape(trajectory, out, eye, calibration))
+        obstacles = recording.obstacles
+        reach = CandidateViews(_reachable(trajectory, obstacles), obstacles, eye)
+        first, lost = tour(trajectory, obstacles.carrier)
+        if lost:
+            console.hint(f"{lost} test views of the trajectory cannot be taken and are left out")
+        show_reach(recording, np.concatenate([one.solutions.joints[:1] for one in reach.candidates]))
         if options.resume:
             recording.resume()
         _tour(recording, first, goal, show)

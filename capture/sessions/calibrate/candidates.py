@@ -15,6 +15,7 @@ from koala3d.datasets import pose
 Array = NDArray[np.float64]
 
 COUNT = 300  # reachable views to choose from
+PREVIEWED = 60  # of them that are drawn for a person before the session
 TRIES = 6  # views drawn for each that is wanted, at most
 MAX_TILT_RAD = float(np.radians(55))  # between the optical axis and the board's normal: corners are found well up to there
 AIM = 0.3  # the point looked at lies within this share of the board's sides from its middle
@@ -80,6 +81,17 @@ def looking(trajectory: Trajectory, carrier: Carrier, present: Array, count: int
         if not solved.reason:
             found.append(nearest(solved.joints, found[-1] if found else present))
     return found
+
+
+def preview(trajectory: Trajectory, obstacles: Obstacles, seed: int) -> Array:
+    """(m, n) configurations [rad] before the board is seen: of the views that look for it, and around where it should be."""
+    solved = [solve(view, obstacles) for view in trajectory.viewpoints()]
+    views = [one.joints for one in solved if not one.reason]
+    if trajectory.board is not None:
+        board = trajectory.base_from_board
+        views += [one.joints for one in draw(trajectory, reach_of(trajectory, obstacles.carrier, board), board, seed, PREVIEWED)]
+    home = obstacles.carrier.arm.home
+    return np.array([nearest(joints, home) for joints in views]).reshape(-1, len(home))
 
 
 def nearest(joints: Array, present: Array) -> Array:

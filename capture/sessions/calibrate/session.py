@@ -9,9 +9,10 @@ from typing import Any
 from koala3d.capture.model.trajectory import Trajectory
 from koala3d.capture.recording.growing import GrowingRecording
 from koala3d.capture.rig.rig import Rig
-from koala3d.capture.sessions.calibrate import loop
+from koala3d.capture.sessions.calibrate import candidates, loop
 from koala3d.capture.sessions.calibrate.adviser import Adviser
 from koala3d.capture.sessions.calibrate.loop import AccuracyGoal, CalibrationOutcome
+from koala3d.capture.sessions.preview import show_reach
 from koala3d.capture.sessions.start import SessionOptions
 from koala3d.datasets.advice import Answer, Figures, Question
 from koala3d.datasets.core import console
@@ -58,6 +59,7 @@ def run(
     until = ["--until", *map(str, goal.until)]
     with Adviser(str(out), [*arm, *until]) as adviser, options.opened(trajectory, out) as rig:
         recording = AdvisedRecording(trajectory, rig, out, adviser)
+        show_reach(recording, candidates.preview(trajectory, recording.obstacles, options.seed))
         if options.resume:
             recording.resume()
         outcome = loop.run(trajectory, rig.carrier, recording, goal, seed=options.seed, show=show)

@@ -13,6 +13,7 @@ from koala3d.capture.model.viewpoints import Viewpoint
 from koala3d.capture.planning import Obstacles
 from koala3d.capture.planning.plan import connect
 from koala3d.capture.planning.solutions import solve
+from koala3d.capture.rig.moves import Moves
 from koala3d.datasets.core.errors import UsageError, nearest
 
 Joints = NDArray[np.float64]
@@ -21,8 +22,8 @@ Joints = NDArray[np.float64]
 class Jog:
     """An arm that goes to views by name, from wherever it is."""
 
-    def __init__(self, robot: Robot, trajectory: Trajectory, carrier: Carrier) -> None:
-        self.robot, self.trajectory = robot, trajectory
+    def __init__(self, robot: Robot, trajectory: Trajectory, carrier: Carrier, moves: Moves | None = None) -> None:
+        self.robot, self.trajectory, self.moves = robot, trajectory, moves or Moves()
         self.obstacles = Obstacles.of(trajectory, carrier)
 
     @cached_property
@@ -48,6 +49,4 @@ class Jog:
 
     def go(self, name: str) -> None:
         """Move to a view; returns when the arm has settled. Errors as in `path_to`, and those of `Robot.move_to`."""
-        motion = self.trajectory.motion
-        for joints in self.path_to(name):
-            self.robot.move_to(joints, speed=motion.speed, acceleration=motion.acceleration)
+        self.moves.along(self.robot, self.path_to(name), self.trajectory.motion, self.obstacles, view=f"view {name}")

@@ -84,7 +84,8 @@ def test_an_arm_that_hangs_records_a_session(capture, tmp_path):
     (seen,) = (out / "truth" / "alpha").iterdir()
     rows, columns = np.nonzero(images.read(seen)[..., 0] > 0.5)
     width = 2 * 0.1 * 1273 / 4  # of the ball, at 1 m
-    assert np.ptp(columns) == pytest.approx(width, abs=4) and (rows.mean(), columns.mean()) == pytest.approx((32, 32), abs=8)
+    # the ball is as wide as the picture, of which the mount, off by a degree, cuts up to 6 pixels
+    assert np.ptp(columns) == pytest.approx(width, abs=6) and (rows.mean(), columns.mean()) == pytest.approx((32, 32), abs=8)
     surface = trimesh.load_mesh(out / "truth" / "object.ply")
     np.testing.assert_allclose(surface.bounds, [[-0.1, -0.1, 1.0], [0.1, 0.1, 1.2]], atol=1e-3)  # on the table below the base
 
@@ -148,7 +149,8 @@ def test_a_camera_that_rejects_a_setting_leaves_nothing(capture, session, tmp_pa
 
 
 def test_a_missing_camera_is_one_line_and_leaves_nothing(capture, session, tmp_path):
-    done = capture("run", session, "--rig", "ur5e_basler", "--out", tmp_path / "rec")
+    (tmp_path / "real.yaml").write_text("robot: {installation: {payload_kg: 0.6}}")
+    done = capture("run", session, "--rig", tmp_path / "real.yaml", "--out", tmp_path / "rec")
     if "cannot be reached" in done.stderr or "several" in done.stderr:
         pytest.skip("a Basler camera is connected to this computer")
     assert done.returncode == 1 and done.stderr.count("\n") == 1, done.stderr

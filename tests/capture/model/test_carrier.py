@@ -7,11 +7,10 @@ import pytest
 import trimesh
 
 from koala3d.capture.model.arm import load_arm
-from koala3d.capture.model.carrier import Cable, CameraCapsule, Carrier
+from koala3d.capture.model.carrier import Beside, Cable, CameraCapsule, Carrier
 from koala3d.capture.model.solids import BoxSolid, CylinderSolid, MeshSolid
 from koala3d.capture.model.viewpoints import Viewpoint
 from koala3d.capture.planning import Obstacles, connect
-from koala3d.capture.planning.paths import between
 from koala3d.capture.planning.solutions import solve
 from koala3d.datasets import pose
 
@@ -59,11 +58,13 @@ def test_a_path_goes_around_a_pillar(tmp_path) -> None:
         MeshSolid(kind="mesh", name="pillar", file=str(tmp_path / "pillar.stl"), pose=place),
     ):
         obstacles = Obstacles(carrier(solids=(solid,)), 0.02)
-        assert obstacles.free(np.stack([start, goal])).all() and not obstacles.free(between(start, goal)).all(), "the premise"
+        assert obstacles.free(np.stack([start, goal])).all() and not obstacles.free(np.linspace(start, goal, 100)).all(), (
+            "the premise"
+        )
         path = [start, *connect(start, goal, obstacles)]
         assert len(path) > 2
         for one, other in itertools.pairwise(path):
-            assert obstacles.free(between(one, other)).all()
+            assert obstacles.free(np.linspace(one, other, 100)).all()
 
 
 @pytest.mark.parametrize("part", ["base", "shoulder", "upper arm", "elbow", "forearm", "wrist 1", "wrist 2"])
@@ -84,10 +85,13 @@ def test_a_camera_that_reaches_into_a_link_hits_it(part: str) -> None:
 
 
 def test_the_cable_limits_the_turns_of_its_joints() -> None:
-    cable = Cable(max_turns=0.75)
-    np.testing.assert_allclose(cable.turns(np.radians([[0] * 5 + [180.0], [90.0] * 5 + [-270.0]])), [0.5, 0.75])
-    both = Cable(max_turns=1.0, joints=[5, 6], rest_deg=[-90, 0])
-    assert both.turns(np.radians([0, 0, 0, 0, -90, 0.0])) == 0 and both.turns(np.radians([0, 0, 0, 0, 90, -90.0])) == 0.75
+    """By default the first and the last joint: each by half a turn to either side. The others bend the cable."""
+    cable = Cable()
+    angles = np.radians([[0, 300, 300, 300, 300, 180.0], [-198, 0, 0, 0, 0, 90], [90, 0, 0, 0, 0, -270]])
+    np.testing.assert_allclose(cable.turns(angles), [0.5, 0.55, 0.75])
+    assert carrier(cable=cable).permitted(angles - 1e-9).tolist() == [True, False, False]
+    both = Cable(joints=[5, 6], rest_deg=[-90, 0])
+    assert both.turns(np.radians([300, 0, 0, 0, -90, 0.0])) == 0 and both.turns(np.radians([0, 0, 0, 0, 90, -90.0])) == 0.5
 
 
 def test_a_view_that_would_wind_up_the_cable_is_refused_with_the_turns() -> None:
@@ -110,8 +114,25 @@ def test_a_path_never_winds_up_the_cable_beyond_its_limit() -> None:
     limited = Obstacles(carrier(cable=Cable(max_turns=0.5)), 0.02)
     start, goal = np.radians([0, -90, 60, -90, -90, -170]), np.radians([40, -90, 60, -90, -90, 170])
     for one, other in zip([start, *connect(start, goal, limited)], connect(start, goal, limited), strict=False):
-        assert limited.carrier.permitted(between(one, other)).all()
+        assert limited.carrier.permitted(np.linspace(one, other, 100)).all()
     assert not limited.free(np.radians([[0, -90, 60, -90, -90, 200.0]]))[0]
+
+
+def test_an_arm_whose_cable_is_wound_too_far_may_unwind_it() -> None:
+    limited = Obstacles(carrier(cable=Cable(max_turns=0.5)), 0.02)
+    start, goal = np.radians([0, -90, 60, -90, -90, 230]), np.radians([40, -90, 60, -90, -90, 170])
+    assert not limited.free(start[None])[0] and len(connect(start, goal, limited)) == 1
+
+
+def test_every_row_of_a_plate_counts() -> None:
+    """The plate of a target is several capsules of one name: a ball at its first row and one at its last are both near."""
+    place = Beside(np.eye(4), pose.rigid(np.eye(3), [0.0, 0.0, 0.05]), (0.2, 0.2))
+    joints = np.radians([0, -90, 90, -90, -90, 0])
+    alone = carrier(beside=place)
+    ends = alone.segments(joints)[[part.name == "target" for part in alone.shape.parts]]
+    for row in (ends[0], ends[-1]):
+        ball = CylinderSolid(kind="cylinder", name="ball", radius=0.01, height=0.02, pose={"position": tuple(row.mean(axis=0))})
+        assert Obstacles(carrier(beside=place, solids=(ball,)), 0.0).margins(joints[None])["target to ball"][0] < 0
 
 
 def test_limits_of_joints_are_those_of_the_model() -> None:

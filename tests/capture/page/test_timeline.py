@@ -9,7 +9,7 @@ from koala3d.capture.model import kinematics
 from koala3d.capture.model.rig import RigDescription
 from koala3d.capture.model.trajectory import Trajectory, load_trajectory
 from koala3d.capture.page.timeline import WAIT_S, of_recording, of_trajectory
-from koala3d.capture.planning import duration, move_duration, plan
+from koala3d.capture.planning import Pace, duration, plan
 from koala3d.datasets.recording import Frame, Recording
 
 MOUNT = RigDescription().carrier()
@@ -24,7 +24,7 @@ def trajectory(x: float = 0.4, count: int = 8) -> Trajectory:
 def test_each_view_is_taken_where_and_when_the_plan_says() -> None:
     session = trajectory()
     timeline, planned = of_trajectory(session, MOUNT), plan(session, MOUNT)
-    assert timeline.end == pytest.approx(duration(session, planned), abs=1e-9)
+    assert timeline.end == pytest.approx(duration(session, planned, MOUNT), abs=1e-9)
     assert (np.diff(timeline.seconds) >= 0).all()
     for stop, view in zip(timeline.stops, planned, strict=True):
         assert stop.seconds is not None
@@ -92,7 +92,7 @@ def test_long_waits_are_left_out_of_the_playback(tmp_path: Path) -> None:
     angles = np.deg2rad([[10.0 * i, -60, 80, -100, -90, 5] for i in range(3)])
     timeline = of_recording(recording_of(tmp_path, [7200.0, 1.5], angles), MOUNT)
     motion = trajectory(count=3).motion
-    first = move_duration(motion, np.deg2rad(10.0)) + motion.settle_time_s + WAIT_S
+    first = Pace.of(*angles[:2], motion, MOUNT).seconds + motion.settle_time_s + WAIT_S
     assert [stop.seconds for stop in timeline.stops] == pytest.approx([0, first, first + 1.5])
     assert timeline.notes[0] == f"3 of 3 views in {first + 1.5:.0f} s, without {7200 - first:.0f} s of waiting"
 

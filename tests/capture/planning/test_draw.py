@@ -39,7 +39,7 @@ def test_what_the_page_shows_is_the_plan(drawn):
         camera = (forward(view.joints) @ MOUNT.flange_from_camera)[:3, 3]
         np.testing.assert_allclose(shown["track"][-1], camera, atol=1e-4)
         np.testing.assert_allclose(shown["edges"][0][0], camera, atol=1e-4)  # tip of the pyramid
-        assert shown["room_mm"] > -5  # ways are checked every 0.05 rad
+        assert shown["room_mm"] >= 0
     for before, after in zip(scene["views"], scene["views"][1:], strict=False):
         np.testing.assert_allclose(after["track"][0], before["track"][-1], atol=1e-4)
 

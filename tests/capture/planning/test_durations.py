@@ -3,10 +3,13 @@
 import numpy as np
 import pytest
 
+from koala3d.capture.model.rig import RigDescription
 from koala3d.capture.model.trajectory import Motion, Trajectory
 from koala3d.capture.model.viewpoints import Viewpoint
 from koala3d.capture.planning import PlannedView, arrivals, duration, move_duration
 
+FREE = RigDescription.model_validate({"robot": {"max_tool_speed": 3.0}}).carrier()
+"""A rig whose limit of the body's speed does not bind here."""
 MOTION = Motion(speed=1.0, acceleration=2.0, settle_time_s=0.5)
 
 
@@ -38,11 +41,11 @@ def session() -> tuple[Trajectory, list[PlannedView]]:
 
 
 def test_arrivals_add_moves_settling_and_exposures() -> None:
-    first, second = arrivals(*session())
+    first, second = arrivals(*session(), FREE)
     np.testing.assert_allclose(first, [0.0, 0.62])  # settles for 0.5 s, exposes for 0.02 s, reads for 0.1 s
     np.testing.assert_allclose(second, [0.62 + 2.5, 3.62, 3.62 + 1.0, 5.24])
 
 
 def test_the_duration_is_the_end_of_the_last_view() -> None:
     trajectory, views = session()
-    assert duration(trajectory, views) == pytest.approx(5.24) and duration(trajectory, []) == 0.0
+    assert duration(trajectory, views, FREE) == pytest.approx(5.24) and duration(trajectory, [], FREE) == 0.0

@@ -1,5 +1,7 @@
 """Plans reach every view without a collision, and name the views that cannot be taken."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -40,7 +42,8 @@ def test_shipped_trajectories_are_reachable(name):
             ways.append(np.linspace(here, there, 100))
             here = there
         assert (here == view.joints).all()
-    assert obstacles.margin(np.concatenate(ways)).min() > -0.005
+    assert obstacles.margin(np.concatenate(ways)).min() >= 0
+    assert MOUNT.wound(np.concatenate(ways)).max() <= 0.5
 
 
 @pytest.mark.parametrize(("name", "distance_m"), [("koala_demo", 0.4), ("koala_hanging", 1.0)])
@@ -52,6 +55,41 @@ def test_the_object_is_seen_from_all_sides(name, distance_m):
     azimuth = np.sort(np.degrees(np.arctan2(offset[:, 1], offset[:, 0])))
     assert np.diff(azimuth, append=azimuth[0] + 360).max() < 30
     assert np.linalg.norm(offset, axis=1) == pytest.approx(distance_m)
+
+
+def test_the_limit_of_the_cable_changes_no_picture():
+    """The arm comes to some views another way round, and no picture is rolled otherwise."""
+    trajectory, free = load_trajectory("koala_demo"), replace(MOUNT, cable=None)
+    held, loose = plan(trajectory, MOUNT), plan(trajectory, free)
+    assert replace(free, cable=MOUNT.cable).wound(np.stack([view.joints for view in loose])).max() > 0.8, "the premise"
+    for one, other in zip(held, loose, strict=True):
+        np.testing.assert_allclose(one.viewpoint.camera_pose(MOUNT), other.viewpoint.camera_pose(free), atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["koala_demo", "koala_hanging"])
+def test_an_arm_as_built_takes_the_same_pictures_in_nearly_the_same_way(name: str):
+    """What a person has looked at with the nominal links is what the arm does, brought onto the poses by its own links."""
+    trajectory = load_trajectory(name)
+    built = MOUNT.as_built(MOUNT.arm.links.calibrated(np.random.default_rng(0), 5e-4, 1e-3))
+    nominal, planned = plan(trajectory, MOUNT), plan(trajectory, built)
+    obstacles, here, ways, elsewhere = Obstacles.of(trajectory, built), planned[0].joints, [], 0
+    for one, other in zip(nominal, planned, strict=True):
+        np.testing.assert_allclose(one.viewpoint.camera_pose(MOUNT), other.viewpoint.camera_pose(built), atol=1e-9)
+        np.testing.assert_allclose(built.base_from_camera(other.joints), other.viewpoint.camera_pose(built), atol=1e-6)
+        if np.abs(one.joints - other.joints).max() > 0.1:  # only where the arm as it is would be too close
+            near = built.built.near(built.flange_for(one.viewpoint.camera_pose(MOUNT)), one.joints)
+            assert not obstacles.free(near)[0]
+            elsewhere += 1
+        for there in other.path:
+            ways.append(np.linspace(here, there, 100))
+            here = there
+    assert obstacles.margin(np.concatenate(ways)).min() >= 0 and elsewhere <= 1
+
+
+def test_a_view_that_would_wind_up_the_cable_is_named_with_the_limit():
+    views = [JointViews(kind="joints", joints_deg=[(0, -90, 90, -90, -90, 0), (0, -90, 90, -90, -90, 300)])]
+    with pytest.raises(UnreachableError, match=r"1 of 2 views.*001: the camera's cable.*0\.83 turns, limit 0\.5 .robot\.cable"):
+        plan(Trajectory(name="wound", views=views), MOUNT)
 
 
 def test_the_same_trajectory_gives_the_same_plan():

@@ -10,10 +10,9 @@ import pytest
 from koala3d.capture.drivers.errors import ConnectionLapse, NotReady, NotSettled, RigConnectionError
 from koala3d.capture.model.rig import RigDescription
 from koala3d.capture.model.trajectory import Trajectory
-from koala3d.capture.planning import PlannedView
+from koala3d.capture.planning import FIRST_RAD_S, PlannedView
 from koala3d.capture.recording.check import check
 from koala3d.capture.recording.growing import GrowingRecording
-from koala3d.capture.recording.incidents import CAREFUL_RAD_S
 from koala3d.capture.recording.recorder import record
 from koala3d.capture.rig.rig import Rig
 from koala3d.datasets.building.build import incomplete_notes
@@ -105,7 +104,7 @@ def test_the_arm_is_entered_once_more_and_goes_on_slowly(demo, demo_views, taken
     recording = taken(robot)
     assert robot.entered == 1 and names(recording) == [view.viewpoint.name for view in demo_views]
     speeds = [speed for _, speed in robot.orders]
-    assert speeds[2] == CAREFUL_RAD_S == 0.1 and {*speeds[:2], *speeds[3:]} == {demo.motion.speed}
+    assert speeds[2] <= FIRST_RAD_S == 0.1 < min(speeds[3:])
     (incident,) = recording.manifest["incidents"]
     assert incident["what"] == "connected again" and "stands still" in incident["why"]
 

@@ -214,6 +214,7 @@ def test_the_table_of_a_real_rig_looks_for_its_switch_once_camera_and_arm_are_co
     monkeypatch.setattr(opening, "arm_of", lambda *arguments: device("arm"))
     with SimulatedGrbl(time_scale=50, state="Alarm") as controller:
         rig = describe("ur5e_turntable").model_dump(mode="json", include={"turntable"})
+        rig["robot"] = {"installation": {"payload_kg": 0.5}}
         rig["turntable"] |= {"address": controller.address, "homing": True}
         (tmp_path / "rig.yaml").write_text(yaml.safe_dump(rig))
         with ExitStack() as stack:

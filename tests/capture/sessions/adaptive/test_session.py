@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -85,6 +86,21 @@ def resumed(room: Path, capture, tmp_path_factory: pytest.TempPathFactory) -> tu
 
 def test_ctrl_c_says_how_to_go_on(resumed):
     assert "stopped by Ctrl-C, the arm stands still" in resumed[1] and "--resume continues" in resumed[1]
+
+
+def test_a_page_shows_where_the_arm_may_go_before_it_moves(resumed):
+    out, *_, said = resumed
+    path = out.with_name("session.preview.html")
+    lines = said.splitlines()
+    told = next(number for number, line in enumerate(lines) if f"{path} shows where the arm may go" in line)
+    assert told < next(number for number, line in enumerate(lines) if "resuming; first move, to view" in line)
+    scene = json.loads(re.search(r"const scene = (.*);\n", path.read_text())[1])
+    assert len(scene["views"]) == 1 + 24 and scene["views"][0]["name"] == "where the arm stands" and len(scene["box"]) == 12
+    swept = np.array(scene["swept"])
+    assert swept[:, 2].max() > 0.6 and swept[:, 2].min() > -0.05 and len(swept) > 500
+    for view in scene["views"]:  # the region holds the wrist at every view
+        wrist = np.array(view["arm"][0][6]).mean(axis=0)
+        assert (swept.min(axis=0) - 0.05 < wrist).all() and (wrist < swept.max(axis=0) + 0.05).all()
 
 
 def test_no_view_is_lost_and_none_is_taken_twice(resumed):

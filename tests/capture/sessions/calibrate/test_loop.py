@@ -106,4 +106,4 @@ def test_flights_take_as_long_as_planned_ones(trajectory, carrier, arm):
     for view in planned:
         arm.take(view.joints)
     # the planner's estimate, and the settling of the first view's empty path is counted in both
-    assert arm.seconds == pytest.approx(duration(trajectory, planned), rel=1e-6) and arm.taken == 4
+    assert arm.seconds == pytest.approx(duration(trajectory, planned, carrier), rel=1e-6) and arm.taken == 4

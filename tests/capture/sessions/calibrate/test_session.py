@@ -61,6 +61,7 @@ def resumed(capture, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, st
     done = capture(*words_for(out, "--resume", "--json"))
     assert done.returncode == 0, done.stderr
     assert done.stderr.splitlines()[-1].startswith(f"view {VIEWS - 1:03d}:")
+    assert "session.preview.html shows where the arm may go" in done.stderr and out.with_name("session.preview.html").is_file()
     return out, said, taken, json.loads(done.stdout)
 
 
