@@ -35,7 +35,7 @@ def check(
     as_json: console.Json = False,
 ) -> None:
     """Verify a recording: hashes, counts, clocks, exposure, sharpness. Lists the views to retake; exit code 1 with findings."""
-    from koala3d.capture.recording import check
+    from koala3d.capture.recording import check, session_log
     from koala3d.datasets.recording import Recording
 
     opened = Recording.open(recording)
@@ -57,7 +57,8 @@ def check(
     again = check.to_take_again(findings)
     discarded = opened.discard(again) if discard else []
     good = all(finding.note for finding in findings)
-    lines = [finding.line for finding in findings]
+    logged = session_log.sessions(recording)
+    lines = [finding.line for finding in findings] + [one.line for one in logged]
     if good:
         lines.append(f"{recording}: {frames} views, nothing is wrong")
     if again:
@@ -66,6 +67,7 @@ def check(
         lines.append(removed if discard else "'capture check --discard' removes them, and 'capture run --resume' retakes them")
     found: dict[str, Any] = {"recording": str(recording), "frames": frames, "page": page, "covered_after": shares}
     found |= {"findings": [vars(finding) for finding in findings], "take_again": again, "discarded": discarded}
+    found |= {"sessions": [vars(one) for one in logged]}
     console.report(found, as_json=as_json, text="\n".join([*lines, *covered, *([str(page)] if page is not None else [])]))
     if not good:
         raise typer.Exit(1)

@@ -11,10 +11,12 @@ from typing import Any
 import numpy as np
 
 from koala3d.capture.drivers.errors import CaptureError, MotionError, naming
+from koala3d.capture.drivers.events import event
 from koala3d.capture.drivers.measurements import Image, Pixels, RobotState
 from koala3d.capture.model.trajectory import CameraSettings, Motion, Trajectory
 from koala3d.capture.planning import Obstacles, PlannedView, connect, plan
 from koala3d.capture.recording.manifest import manifest_of, require_same_session
+from koala3d.capture.recording.session_log import wall_time
 from koala3d.capture.recording.writer import Advance, TakenView, Writer
 from koala3d.capture.rig.rig import Rig
 from koala3d.datasets.core import arrays, files, locks
@@ -77,6 +79,7 @@ def _record(
 ) -> Recording:
     obstacles = Obstacles.of(trajectory, rig.carrier)
     taken = _taken(recordings)
+    event("recording", views=len(planned), taken=len(taken))
     numbers = {view.name: number for number, view in enumerate(trajectory.viewpoints())}
     motion = trajectory.motion
     previous: str | None = None  # the view at which the arm stands
@@ -86,6 +89,7 @@ def _record(
             if name in taken:
                 advance(name)
                 continue
+            event("view", name=name)
             follows = index > 0 and previous == planned[index - 1].viewpoint.name
             path = view.path if follows else connect(rig.robot.state().joints, view.joints, obstacles, where=f"view {name}")
             stays = follows and np.array_equal(view.joints, planned[index - 1].joints)
@@ -153,6 +157,8 @@ def _expose(
                 robot_time_after_s=after.robot_time_s,
                 turntable_angle=angle,
                 turntable_angle_after=angle_after,
+                wall_time=wall_time(taken[0].host_time_ns),
+                joint_temperatures=state.joint_temperatures,
                 lights=rig.description.lights_on(trajectory.lights),
             ),
             taken,

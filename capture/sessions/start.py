@@ -1,6 +1,7 @@
 """How a command that records a session opens its rig: examined first, and closed at the end."""
 
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -8,6 +9,10 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from koala3d.capture.model.trajectory import Trajectory
     from koala3d.capture.rig.rig import Rig
+
+
+CAMERA = ("driver", "model", "serial")
+"""What the log says of a camera; the manifest has the rest."""
 
 
 @dataclass(frozen=True)
@@ -22,12 +27,15 @@ class SessionOptions:
     take_over: bool = False
     resume: bool = False
 
-    def opened(self, trajectory: "Trajectory", out: Path) -> "AbstractContextManager[Rig]":
-        """The rig of a session that writes to `out`. Entering raises CaptureError where it is not ready."""
+    @contextmanager
+    def opened(self, trajectory: "Trajectory", out: Path) -> "Iterator[Rig]":
+        """The rig of a session that writes to `out` and keeps its log. Entering raises CaptureError where it is not ready."""
         from koala3d.capture.doctor.examine import examination
+        from koala3d.capture.drivers.events import event
+        from koala3d.capture.recording import provenance, session_log
         from koala3d.capture.rig.opening import open_rig
 
-        return open_rig(
+        opening = open_rig(
             self.rig,
             trajectory,
             scene=self.scene,
@@ -37,3 +45,7 @@ class SessionOptions:
             take_over=self.take_over,
             radiometry=self.radiometry,
         )
+        with session_log.kept(out, **provenance.facts(), resume=self.resume), opening as rig:
+            cameras = [{key: one.camera.description().get(key) for key in CAMERA} for one in rig.each.values()]
+            event("rig", name=rig.name, robot=rig.robot.description(), cameras=cameras)
+            yield rig

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koala3d.capture.drivers.errors import MotionError, RigConnectionError, StopLatched
+from koala3d.capture.drivers.events import event
 from koala3d.capture.drivers.measurements import RobotState
 from koala3d.capture.drivers.safety import Limits
 from koala3d.capture.drivers.ur.settling import Settling, Window
@@ -91,6 +92,7 @@ class KinematicArm:
         if self._stopped.is_set():
             why, remedy = "nothing moves after a stop until it is cleared", "clear_stop()"
             raise StopLatched("the arm was stopped on request", where=self.model.name, why=why, remedy=remedy)
+        event("move", joints_deg=np.degrees(target).round(4).tolist(), speed=speed, acceleration=acceleration)
         with self._lock:
             self._arm.move_to(target, speed, acceleration, self.now)
         try:
@@ -104,6 +106,7 @@ class KinematicArm:
     def stop(self) -> None:
         """See `Robot`."""
         self._stopped.set()
+        event("stop", host=self.model.name)
         with self._lock:
             self._arm.stop(DECELERATION, self.now)
 

@@ -47,6 +47,7 @@ class State(TypedDict):
     joints: list[float]
     joint_speeds: list[float]
     tcp_pose: list[float]
+    joint_temperatures: list[float]  # [degrees Celsius]
     speed_fraction: float
     safety_bits: int
     connected: bool

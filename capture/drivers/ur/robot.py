@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koala3d.capture.drivers.errors import CaptureError, MotionError, NotReady, ProtectiveStop, RigConnectionError, StopLatched
+from koala3d.capture.drivers.events import event
 from koala3d.capture.drivers.measurements import RobotState
 from koala3d.capture.drivers.safety import Limits
 from koala3d.capture.drivers.ur.client import ClientChoice, StartFailure
@@ -126,6 +127,7 @@ class UniversalRobot:
             joint_speeds=np.asarray(sample.content["joint_speeds"]),
             robot_time_s=float(sample.content["robot_time_s"]),
             host_time_ns=int(sample.content["host_time_ns"]),
+            joint_temperatures=tuple(sample.content["joint_temperatures"]),
         )
 
     def move_to(self, joints: NDArray[np.float64], *, speed: float, acceleration: float) -> None:
@@ -143,6 +145,7 @@ class UniversalRobot:
             why, remedy = "nothing moves after a stop until it is cleared", "make sure that nobody is in reach, then clear_stop()"
             raise StopLatched("the arm was stopped on request", where=self.host, why=why, remedy=remedy)
         start = self.state().joints
+        event("move", joints_deg=np.degrees(target).round(4).tolist(), speed=speed, acceleration=acceleration)
         try:
             self._move(target, start, speed, acceleration)
             self._settle(target)
@@ -163,6 +166,7 @@ class UniversalRobot:
         Any thread, any number of times. Raises RigConnectionError where nothing confirms that the arm stops.
         """
         self._stopped.set()
+        event("stop", host=self.host)
         link = self._link
         if link is not None and link.request("stop", deceleration=3.0) and self._rests_within(2.0):
             return
@@ -300,7 +304,7 @@ class UniversalRobot:
         known = self._stop_channel.known(answer, None if link is None else link.newest)
         self.close()
         if safety == "PROTECTIVE_STOP":
-            remedy = "look for the cause, release it at the pendant, then resume"
+            remedy = "do what docs/recovery.md says: find the cause, release the stop at the pendant, resume slowly"
             return ProtectiveStop("protective stop: the arm stands still", where=self.host, why=what, remedy=remedy)
         if safety and not may_move(safety):
             remedy = "release it at the pendant, switch the arm on, then resume"

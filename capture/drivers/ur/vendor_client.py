@@ -11,7 +11,8 @@ from koala3d.capture.drivers.ur.rtde.stream import RegistersInUse, RtdeStream
 
 START_S, RELEASED_S = 2.0, 0.5  # until the program runs, and until a client that failed has let go of its registers [s]
 VARIABLES = (
-    "timestamp actual_q actual_qd actual_TCP_pose robot_mode safety_mode safety_status_bits runtime_state target_speed_fraction"
+    "timestamp actual_q actual_qd actual_TCP_pose joint_temperatures robot_mode safety_mode safety_status_bits runtime_state "
+    "target_speed_fraction"
 ).split()
 
 
@@ -46,6 +47,7 @@ class VendorClient:
             "joints": self._receive.getActualQ(),
             "joint_speeds": self._receive.getActualQd(),
             "tcp_pose": self._receive.getActualTCPPose(),
+            "joint_temperatures": self._receive.getJointTemperatures(),
             "speed_fraction": self._receive.getTargetSpeedFraction(),
             "safety_bits": self._receive.getSafetyStatusBits(),
             "connected": self._connected,
