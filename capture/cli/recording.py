@@ -86,6 +86,8 @@ def replay(
 ) -> None:
     """Repeat the joint path of a recording without the camera, and report the deviation of each frame's pose.
 
+    It is what the arm's own encoders see. What they do not see, 'capture repeatability' measures by pictures.
+
     The arm and its mount must be those of the recording. The path is planned around what the rig file says of its surroundings.
     """
     from koala3d.capture.doctor.examine import examination
@@ -112,5 +114,5 @@ def replay(
     content = {"recording": str(recording), **summary(deviations), "frames": [vars(one) for one in deviations]}
     if out is not None:
         files.write_json(out, {"format": "koala-replay", "version": 1, **content})
-    lines = [*(f"view {one.frame}: {one.line}" for one in deviations), f"worst: {content['worst']}"]
+    lines = [*(f"view {one.frame}: {one.line}" for one in deviations), f"worst: {content['worst']}, by the arm's own encoders"]
     console.report(content, as_json=as_json, text="\n".join(lines))

@@ -1,4 +1,5 @@
-"""What real sensors and lamps do besides: black level, vignetting, uneven and hot pixels, unbalanced channels, flicker.
+"""What real sensors, lamps and arms do besides: black level, vignetting, uneven and hot pixels, unbalanced channels, flicker,
+drift.
 
 All are off by default. `configs/rigs/sim_flawed.yaml` switches them on. The description and the seed are the truth.
 """
@@ -18,7 +19,7 @@ REFERENCE_US = 10_000.0
 
 
 class Flaws(Schema):
-    """Flaws of the simulated sensor, lens and lamps."""
+    """Flaws of the simulated sensor, lens, lamps and arm."""
 
     black_level: float = Field(default=0.0, ge=0, lt=0.5, description="value without light [share of the largest value]")
     vignetting: float = Field(default=0.0, ge=0, lt=1, description="share of the light that is lost in the sensor's corners")
@@ -32,6 +33,10 @@ class Flaws(Schema):
     )
     flicker_hz: float = Field(default=100.0, gt=0, description="frequency of the lamps' light: twice that of the mains [Hz]")
     flicker: float = Field(default=0.0, ge=0, lt=1, description="amplitude of the lamps' flicker, relative to their light")
+    drift_mm: float = Field(default=0.0, ge=0, le=10, description="by how much warming up moves the flange in the end [mm]")
+    drift_minutes: float = Field(
+        default=20.0, gt=0, description="within which it covers 63 % of that, on the clock of the arm's controller [min]"
+    )
 
 
 @dataclass(frozen=True)

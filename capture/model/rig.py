@@ -115,7 +115,7 @@ class SimulationDescription(Schema):
     )
     scene: str = Field(default="gold_head", description="scene in front of the camera")
     seed: int = Field(default=0, ge=0, description="random seed of a running controller; else --seed counts")
-    flaws: Flaws = Field(default_factory=Flaws, description="flaws of sensor, lens and lamps")
+    flaws: Flaws = Field(default_factory=Flaws, description="flaws of sensor, lens, lamps and arm")
 
 
 class RigDescription(Schema):

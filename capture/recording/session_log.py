@@ -2,9 +2,9 @@
 
     2026-11-28T02:38:30.123456Z 5023.123456 move {"joints_deg": [0.0, -90.0, ...], "speed": 0.8, "acceleration": 1.2}
 
-A line has the wall-clock time (UTC), the monotonic clock of the computer [s], the event, and facts about it as JSON. The file only
-ever grows. Each line goes to the operating system in one call, so that a killed program leaves whole lines. The lines up to an
-event of `FLUSHED` are on the disk once it has happened: a power cut costs at most the lines after the newest picture.
+A line has the wall-clock time (UTC), the monotonic clock of the computer [s], the event, and facts about it as JSON. The file
+only ever grows. Each line goes to the operating system in one call, so that a killed program leaves whole lines. The lines up to
+an event of `FLUSHED` are on the disk once it has happened: a power cut costs at most the lines after the newest picture.
 """
 
 import json

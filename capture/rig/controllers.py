@@ -38,6 +38,8 @@ def controller_of(
         from koala3d.capture.sim.controller.process import SimulatedController
 
         with SimulatedController.as_built(**options, model=description.robot.model) as started:
+            if description.simulation is not None and (flaws := description.simulation.flaws).drift_mm:
+                started.ask("warm_up", drift_mm=flaws.drift_mm, minutes=flaws.drift_minutes)
             yield started
     elif started_here:
         from koala3d.capture.sim.kinematic_arm import KinematicArm

@@ -18,8 +18,8 @@ CONNECT_S, START_S, ANSWER_S = 2.0, 5.0, 1.0
 RUNNING = 2  # runtime state of a program that runs and is not paused
 STATE_REGISTER, PROGRESS_REGISTER = f"output_int_register_{FIRST}", f"output_int_register_{FIRST + 2}"
 RESULT_REGISTERS = [f"output_double_register_{FIRST + index}" for index in range(6)]
-OUTPUTS = "timestamp actual_q actual_qd actual_TCP_pose joint_temperatures safety_status_bits runtime_state target_speed_fraction".split()
-OUTPUTS += [STATE_REGISTER, PROGRESS_REGISTER, *RESULT_REGISTERS]
+OUTPUTS = "timestamp actual_q actual_qd actual_TCP_pose safety_status_bits runtime_state target_speed_fraction".split()
+OUTPUTS += ["joint_temperatures", STATE_REGISTER, PROGRESS_REGISTER, *RESULT_REGISTERS]
 COMMAND_ONLY, WITH_ARGUMENTS = 1, 2
 INPUTS = [
     [f"input_int_register_{FIRST}"],

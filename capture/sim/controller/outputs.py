@@ -98,7 +98,7 @@ _CHANGING: dict[str, Callable[[Outputs], Any]] = {
     "payload_cog": lambda at: at.controller.installed.payload_centre,
     "actual_tool_accelerometer": lambda at: at.felt,
     "elbow_position": lambda at: link_frames(at.actual[0], at.arm.links)[2, :3, 3],
-    "joint_temperatures": lambda at: [30.0] * 6,
+    "joint_temperatures": lambda at: [at.arm.warmth.temperature(at.now)] * 6,
     "actual_digital_output_bits": lambda at: at.controller.digital_outputs,
 }
 """Name to value; every other variable is a register, or zero."""
