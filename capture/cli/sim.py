@@ -20,7 +20,10 @@ def sim(
     hangs: Annotated[bool, Option("--hangs", help="Start as a hanging arm, for trajectories with 'up: -z'.")] = False,
     as_json: console.Json = False,
 ) -> None:
-    """Start only the simulated controller of an arm, for any RTDE client. Prints its address and ports; Ctrl-C ends it."""
+    """Start only the simulated controller of an arm, for any RTDE client. Prints its address and ports; Ctrl-C ends it.
+
+    What the simulation does not know is refused with one line here that names it.
+    """
     from koala3d.capture.rig.controllers import controller_model, write_simulated_rig
     from koala3d.capture.rig.naming import describe
     from koala3d.capture.sim.controller.process import SimulatedController
@@ -40,6 +43,8 @@ def sim(
         console.report({"host": controller.host, "ports": ports, "scene": scene, "rig": out}, as_json=as_json, text=text)
         try:
             while controller.process.poll() is None:
+                for line in controller.new_lines():
+                    console.hint(line)
                 time.sleep(0.2)
         except KeyboardInterrupt:
             return

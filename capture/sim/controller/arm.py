@@ -5,6 +5,8 @@ Time is the controller's own [s] and is passed in. Nothing here uses sockets.
 
 import zlib
 from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +14,8 @@ from numpy.typing import NDArray
 from koala3d.capture.drivers.ur.modes import RobotMode, SafetyMode, may_move
 from koala3d.capture.model.arm import DEFAULT, ArmModel, load_arm
 from koala3d.capture.model.kinematics import Links, forward
-from koala3d.capture.sim.controller.profiles import Braking, Chain, Joints, Move, Profile
+from koala3d.capture.sim.controller.motions.profiles import Braking, Chain, Joints, Move, Profile, Slowing, end_of
+from koala3d.capture.sim.controller.motions.tracking import Tool, Tracked
 from koala3d.capture.sim.controller.tempo import Tempo
 from koala3d.capture.sim.warmth import Warmth
 from koala3d.datasets import pose
@@ -26,6 +29,19 @@ FLEXURE_HZ, FLEXURE_DECAY_S, FLEXURE_PER_ACCELERATION = 9.0, 0.07, 1.5e-3
 SPEED_NOISE_PER_S = 250.0
 """Noise of measured speeds per noise of measured angles [1/s]: they are differences of angles 4 ms apart."""
 QUIET_S = 0.36  # this long after a stop both have decayed to less than a hundredth, and count as zero [s]
+
+STOPS = Braking, Slowing
+"""Motions that are stops: the speed slider and a pause do not change them."""
+PUSHED_SPEED, PUSHED_ACCELERATION = 1.0, 2.0  # of the fastest joint, as a person moves the arm by hand [rad/s, rad/s^2]
+
+
+@dataclass(frozen=True)
+class Payload:
+    """What a program says that the flange carries. `centre`: None is that of the installation."""
+
+    mass: float  # [kg]
+    centre: tuple[float, ...] | None  # of gravity in the flange [m]
+    inertia: tuple[float, ...]  # about the centre: xx, yy, zz, xy, xz, yz [kg m^2]
 
 
 class SimulatedArm:
@@ -62,6 +78,9 @@ class SimulatedArm:
         self.speed_fraction = 1.0
         self.joint_limits = np.stack([self.model.lower, self.model.upper])
         self.reach_m = np.inf
+        self.freedrive, self.button = False, False
+        """Whether a person can move the arm by hand, and whether the pendant's button for that is pressed."""
+        self.payload: Payload | None = None
         self._tempo = Tempo(0.0, 0.0, 1.0, 1.0)
         self.motions: deque[tuple[float, Profile]] = deque(maxlen=1000)
         self._visits: dict[int, int] = {}
@@ -119,6 +138,8 @@ class SimulatedArm:
 
     def swings_for(self, profile: Profile, spread: float) -> float:
         """Seconds after the end of a motion at full speed from which on no joint varies by more than `spread` [rad]."""
+        if np.isinf(profile.duration):
+            return 0.0
         slowing = np.abs(profile.at(profile.duration * (1 - 1e-6))[2]).max()
         since = np.arange(0.0, QUIET_S, 1e-4)
         size = RINGING_PER_ACCELERATION * slowing * np.exp(-since / RINGING_DECAY_S)
@@ -141,15 +162,41 @@ class SimulatedArm:
         stands[:3, 3] += self.warmth.shift(now)
         return stands
 
-    def begin(self, profile: Profile, now: float) -> None:
-        """Start a motion from where the arm is."""
+    @property
+    def tool(self) -> Tool:
+        """The tool as it is mounted now."""
+        return Tool(self.links, self.flange_from_tcp, self.model.speed)
+
+    def heading(self, now: float) -> tuple[Joints, Joints]:
+        """(n,) commanded angles, and the speeds from which a motion that begins now goes on without a jerk."""
+        angles, speeds, _ = self.target(now)
+        return angles, speeds / self.speed_fraction
+
+    def waypoint(self, now: float) -> Joints:
+        """(n,) angles at which the motion will end; where the arm is if it stands still or goes on until it is stopped."""
+        return end_of(self.profile) if np.isfinite(self.profile.duration) else self.target(now)[0]
+
+    def begin(self, profile: Profile, now: float, *, goes_on: bool = False) -> None:
+        """Start a motion from where the arm is. `goes_on`: it changes the latest one, and is not listed as another one."""
         self.profile, self._error = profile, None
         self._tempo = Tempo(0.0, now, self._full_rate, self._full_rate)
-        self.motions.append((now, profile))
+        if goes_on and self.motions:
+            self.motions[-1] = self.motions[-1][0], profile
+        else:
+            self.motions.append((now, profile))
+
+    def begin_from_rest(self, make: Callable[[Joints], Profile], deceleration: float, now: float) -> float:
+        """Start the motion that `make` gives from the (n,) angles at which the arm comes to rest; returns when that is [s]."""
+        angles, speeds, _ = self.target(now)
+        stop = Braking(angles, speeds, deceleration)
+        motion = make(end_of(stop))
+        moving = self.moving(now)
+        self.begin(Chain(stop, motion) if moving else motion, now)
+        return stop.duration if moving else 0.0
 
     @property
     def _full_rate(self) -> float:
-        return 1.0 if isinstance(self.profile, Braking) else self.speed_fraction
+        return 1.0 if isinstance(self.profile, STOPS) else self.speed_fraction
 
     def set_speed_slider(self, fraction: float, now: float) -> None:
         """Set the speed slider to a fraction 0..1 of the commanded speed; it applies to a motion under way."""
@@ -159,7 +206,7 @@ class SimulatedArm:
 
     def pause(self, now: float) -> None:
         """Slow down to rest on the path of a motion, which `resume` continues; does nothing to an arm that is stopping."""
-        if self.moving(now) and not isinstance(self.profile, Braking):
+        if self.moving(now) and not isinstance(self.profile, STOPS):
             self._tempo = Tempo(self.phase(now), now, self._tempo.rate(now), 0.0, PAUSE_S)
 
     def resume(self, now: float) -> None:
@@ -168,9 +215,10 @@ class SimulatedArm:
             self._tempo = Tempo(self.phase(now), now, self._tempo.rate(now), self._full_rate, PAUSE_S)
 
     def check_limits(self, now: float) -> None:
-        """Stop for safety where a joint has left its range."""
+        """Stop for safety where a joint has left its range, and where the path of the tool cannot be followed."""
         angles = self.target(now)[0]
-        if self.may_move and not ((self.joint_limits[0] <= angles) & (angles <= self.joint_limits[1])).all():
+        lost = isinstance(self.profile, Tracked) and self.phase(now) >= self.profile.fault
+        if self.may_move and (lost or not ((self.joint_limits[0] <= angles) & (angles <= self.joint_limits[1])).all()):
             self.stop_for_safety(SafetyMode.PROTECTIVE_STOP, now)
 
     def reaches(self, joints: Joints) -> bool:
@@ -182,17 +230,27 @@ class SimulatedArm:
         if not np.isfinite(goal).all() or not self.model.inside(goal):
             self.stop_for_safety(SafetyMode.PROTECTIVE_STOP, now)
             return
-        angles, speeds, _ = self.target(now)
-        acceleration = max(acceleration, 1e-3)
-        stop = Braking(angles, speeds, acceleration)
-        move = Move(stop.at(np.inf)[0], goal, min(max(speed, 1e-3), float(self.model.speed.min())), acceleration)
-        self.begin(Chain(stop, move) if self.moving(now) else move, now)
+        top, acceleration = min(max(speed, 1e-3), float(self.model.speed.min())), max(acceleration, 1e-3)
+        self.begin_from_rest(lambda start: Move(start, goal, top, acceleration), acceleration, now)
+
+    def push(self, goal: Joints, now: float) -> None:
+        """Move the joints by hand; nothing happens unless the arm is in freedrive, and no joint passes its limit."""
+        if self.freedrive or self.button:
+            self.move_to(np.clip(goal, *self.joint_limits), PUSHED_SPEED, PUSHED_ACCELERATION, now)
 
     def stop(self, deceleration: float, now: float) -> None:
         """Slow down to rest and forget the motion; does nothing to an arm at rest."""
         if self._unfinished(now):
             angles, speeds, _ = self.target(now)
             self.begin(Braking(angles, speeds, max(deceleration, 0.1)), now)
+
+    def stop_tool(self, deceleration: float, now: float) -> None:
+        """Slow down to rest on the path, the tool at a deceleration [m/s^2]; does nothing to an arm at rest."""
+        if self._unfinished(now) and not isinstance(self.profile, STOPS):
+            angles, speeds, _ = self.target(now)
+            tool_speed = float(np.linalg.norm(self.tool.velocity(angles, speeds)[:3]))
+            seconds = max(tool_speed / max(deceleration, 0.1), float(np.abs(speeds).max()) / SAFETY_DECELERATION)
+            self.begin(Slowing(self.profile, self.phase(now), self._tempo.rate(now), seconds), now)
 
     def stop_for_safety(self, safety: SafetyMode, now: float) -> None:
         """Protective or emergency stop: slow down as fast as possible; an emergency stop also cuts the power."""
@@ -203,7 +261,7 @@ class SimulatedArm:
 
     def _stopping_error(self) -> NDArray[np.float64]:
         if self._error is None:
-            place = zlib.crc32(np.round(self.profile.at(np.inf)[0], 6).tobytes())
+            place = zlib.crc32(np.round(end_of(self.profile), 6).tobytes())
             visit = self._visits[place] = self._visits.get(place, 0) + 1
             draw = np.random.default_rng([self.seed, place, visit]).normal(size=6)
             self._error = pose.from_rotation_vector(draw[:3] * self.deviation[1], draw[3:] * self.deviation[0])

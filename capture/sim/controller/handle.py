@@ -11,7 +11,7 @@ import threading
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from koala3d.capture.drivers.errors import SimulationError
 
@@ -39,6 +39,10 @@ class ControllerHandle:
     def exposed(self, exposure_s: float, count: int) -> NDArray[np.float64]:
         """(count, 4, 4) where the flange really is during an exposure that begins now [m]."""
         return np.array(self.ask("truth", exposure_s=exposure_s, count=count)["exposed"])
+
+    def push(self, joints: ArrayLike) -> None:
+        """Move the arm by hand to (6,) joint angles [rad]; returns at once. It must be in freedrive."""
+        self.ask("push", joints=np.asarray(joints, np.float64).tolist())
 
     def ask(self, do: str, **arguments: Any) -> dict[str, Any]:
         """Send one request to the side channel and return its reply; `capture.sim.controller.side_channel.ACTIONS` lists them.

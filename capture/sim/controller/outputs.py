@@ -12,7 +12,8 @@ import numpy as np
 from koala3d.capture.drivers.ur.modes import RobotMode, SafetyMode, is_guarded, may_move
 from koala3d.capture.drivers.ur.rtde import wire
 from koala3d.capture.model.kinematics import forward, link_frames
-from koala3d.capture.sim.controller.profiles import Joints
+from koala3d.capture.sim.controller.arm import Payload
+from koala3d.capture.sim.controller.motions.profiles import Joints
 from koala3d.capture.sim.controller.state import Controller
 
 STOPPED_STATE, RUNNING_STATE, PAUSED_STATE = 1, 2, 4
@@ -67,6 +68,11 @@ class Outputs:
         up = np.asarray(self.controller.installed.up)
         return GRAVITY * forward(self.arm.actual(self.now)[0], self.arm.links)[:3, :3].T @ up
 
+    @property
+    def payload(self) -> Payload:
+        """What the program says that the flange carries, or else what the installation says."""
+        return self.arm.payload or Payload(self.controller.installed.payload_kg, None, (0.0,) * 6)
+
     @cached_property
     def actual(self) -> tuple[Joints, Joints]:
         """(6,) angles and speeds that the encoders measure."""
@@ -82,23 +88,30 @@ _CHANGING: dict[str, Callable[[Outputs], Any]] = {
     "actual_qd": lambda at: at.actual[1],
     "actual_TCP_pose": lambda at: at.controller.tcp_pose(at.actual[0]),
     "target_TCP_pose": lambda at: at.controller.tcp_pose(at.target[0]),
+    "actual_TCP_speed": lambda at: at.arm.tool.velocity(*at.actual),
+    "target_TCP_speed": lambda at: at.arm.tool.velocity(*at.target[:2]),
     "robot_mode": lambda at: int(at.arm.mode),
     "safety_mode": lambda at: int(at.arm.safety),
     "joint_mode": lambda at: [253] * 6,
     "runtime_state": lambda at: (
         RUNNING_STATE if at.controller.program_running else PAUSED_STATE if at.controller.program_paused else STOPPED_STATE
     ),
-    "robot_status_bits": lambda at: int(at.arm.mode is RobotMode.RUNNING) | at.controller.program_running << 1,
+    "robot_status_bits": lambda at: (
+        int(at.arm.mode is RobotMode.RUNNING) | at.controller.program_running << 1 | at.arm.button << 2
+    ),
     "safety_status_bits": lambda at: safety_bits(at.arm.safety),
     "speed_scaling": lambda at: at.arm.speed_fraction,
     "target_speed_fraction": lambda at: at.arm.speed_fraction,
     "actual_main_voltage": lambda at: 48.0,
     "actual_robot_voltage": lambda at: 48.0,
-    "payload": lambda at: at.controller.installed.payload_kg,
-    "payload_cog": lambda at: at.controller.installed.payload_centre,
+    "payload": lambda at: at.payload.mass,
+    "payload_cog": lambda at: at.payload.centre or at.controller.installed.payload_centre,
+    "payload_inertia": lambda at: at.payload.inertia,
     "actual_tool_accelerometer": lambda at: at.felt,
     "elbow_position": lambda at: link_frames(at.actual[0], at.arm.links)[2, :3, 3],
     "joint_temperatures": lambda at: [at.arm.warmth.temperature(at.now)] * 6,
-    "actual_digital_output_bits": lambda at: at.controller.digital_outputs,
+    "actual_digital_output_bits": lambda at: at.controller.signals.digital,
+    "standard_analog_output0": lambda at: at.controller.signals.analog[0],
+    "standard_analog_output1": lambda at: at.controller.signals.analog[1],
 }
 """Name to value; every other variable is a register, or zero."""

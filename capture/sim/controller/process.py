@@ -7,6 +7,7 @@ with SimulatedController.start(seed=0, time_scale=20.0) as simulated, UniversalR
 
 import ipaddress
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -33,7 +34,7 @@ class SimulatedController(ControllerHandle):
 
     def __init__(self, process: "subprocess.Popen[bytes]", host: str, side_port: int, output: IO[bytes]) -> None:
         super().__init__(host, side_port)
-        self.process, self._output = process, output
+        self.process, self._output, self._shown = process, output, 0
 
     @classmethod
     def start(
@@ -128,6 +129,13 @@ class SimulatedController(ControllerHandle):
         """The last line that the process printed."""
         return _last_line(self._output)
 
+    def new_lines(self) -> list[str]:
+        """What the process has said since the last call: why a program was refused or ended, line by line."""
+        lines = _printed(self._output)[self._shown :].splitlines(keepends=True)
+        whole = [line for line in lines if line.endswith(b"\n")]
+        self._shown += sum(map(len, whole))
+        return [line.decode(errors="replace").rstrip() for line in whole]
+
 
 def _launch(options: dict[str, Any]) -> tuple["subprocess.Popen[bytes]", dict[str, Any], IO[bytes]]:
     """The process, what it reports once its ports accept (empty: it ended), and its error output."""
@@ -162,6 +170,10 @@ def _is_loopback(host: str) -> bool:
 def _last_line(output: IO[bytes]) -> str:
     if output.closed:
         return "it has been closed"
-    output.seek(0)
-    lines = output.read().decode(errors="replace").strip().splitlines()
+    lines = _printed(output).decode(errors="replace").strip().splitlines()
     return lines[-1] if lines else "it printed nothing"
+
+
+def _printed(output: IO[bytes]) -> bytes:
+    """All that the process has printed; its place in the file, which it shares, stays where it is."""
+    return os.pread(output.fileno(), os.fstat(output.fileno()).st_size, 0)

@@ -79,8 +79,9 @@ class Session:
             return
         try:
             values = recipe.unpack(payload[1:])
-        except ValueError:
-            return  # as the controller does with a packet of the wrong size
+        except ValueError as error:
+            self.controller.report(f"a packet was ignored: {error}: {', '.join(recipe.names[:3])} and so on")
+            return
         self.controller.write_inputs(values)
 
     def send(self, data: bytes) -> None:

@@ -61,6 +61,7 @@ def _truth(controller: Controller, exposure_s: float = 0.0, count: int = 0) -> d
         "safety": arm.safety.name,
         "mode": arm.mode.name,
         "program_running": controller.program_running,
+        "freedrive": controller.arm.freedrive or controller.arm.button,
     }
 
 
@@ -106,6 +107,7 @@ def _install(controller: Controller, model: str = "", tcp: list[float] | None = 
     controller.installed = Installation(**{"up": controller.up, **settings})
     controller.arm.links = load_arm(model).links if model else controller.links
     controller.arm.flange_from_tcp = pose_from_six(tcp or np.zeros(6))
+    controller.arm.payload = None
 
 
 def _safety(controller: Controller, mode: str = "NORMAL", power: str = "RUNNING") -> None:
@@ -126,6 +128,28 @@ def _joint_limit(controller: Controller, joint: int = 1, lower_deg: float = -360
 def _reach(controller: Controller, metres: float = np.inf) -> None:
     """Refuse targets of the flange beyond this distance from the base: the program ends."""
     controller.arm.reach_m = metres
+
+
+def _freedrive(controller: Controller, pressed: bool = True) -> None:
+    """Press or release the pendant's freedrive button, which works only while no program runs."""
+    if pressed and controller.program_running:
+        raise ValueError("the button does nothing while a program runs: the program itself switches freedrive on")
+    controller.arm.button = pressed
+
+
+def _push(controller: Controller, joints: list[float]) -> None:
+    """Move the arm by hand to joint angles [rad], which takes its time; the arm must be in freedrive."""
+    goal = np.asarray(joints, np.float64)
+    if goal.shape != (controller.arm.model.count,) or not np.isfinite(goal).all():
+        raise ValueError(f"joints: {controller.arm.model.count} finite numbers")
+    if not (controller.arm.freedrive or controller.arm.button):
+        raise ValueError("the arm is not in freedrive and cannot be pushed")
+    controller.arm.push(goal, controller.now)
+
+
+def _signals(controller: Controller) -> dict[str, Any]:
+    """The electrical outputs: bits as in `actual_digital_output_bits`, and amperes or volts."""
+    return {"digital": controller.signals.digital, "analog": controller.signals.analog, "volts": controller.signals.volts}
 
 
 def _speed_slider(controller: Controller, fraction: float) -> None:
@@ -156,5 +180,8 @@ ACTIONS: dict[str, Callable[..., dict[str, Any] | None]] = {
     "reach": _reach,
     "speed_slider": _speed_slider,
     "warm_up": _warm_up,
+    "freedrive": _freedrive,
+    "push": _push,
+    "signals": _signals,
 }
 """Requests by name; see the functions for the arguments."""

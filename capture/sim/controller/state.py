@@ -10,11 +10,11 @@ import numpy as np
 from koala3d.capture.drivers.ur.modes import SafetyMode, is_guarded
 from koala3d.capture.drivers.ur.rtde import wire
 from koala3d.capture.model.kinematics import six_from_pose
-from koala3d.capture.sim.controller import script
+from koala3d.capture.sim.controller import script, signals
 from koala3d.capture.sim.controller.arm import SimulatedArm
 from koala3d.capture.sim.controller.installation import Installation
 
-SIMULATED_INPUTS = ("standard_digital_output", "standard_digital_output_mask", "speed_slider_fraction", "speed_slider_mask")
+SIMULATED_INPUTS = signals.NAMES | {"speed_slider_fraction", "speed_slider_mask"}
 """Inputs besides the registers. Writing any other one ends the program."""
 
 
@@ -29,7 +29,7 @@ class Controller:
         self.arm, self.time_scale, self.installed, self.report = arm, time_scale, installed, report
         self.up, self.links = installed.up, arm.links  # as it was started
         self.program: script.ControlProgram | None = None
-        self.digital_outputs = 0
+        self.signals = signals.Signals()
         self.silent_until, self.hung_until = 0.0, 0.0
         self.deaf, self.unstoppable = False, False
         self.guarded_until = math.inf  # real time at which a safeguard lets the program go on by itself [s]
@@ -116,9 +116,7 @@ class Controller:
                 program.fail(f"input {name} is not simulated")
         if values.get("speed_slider_mask"):  # without its bit the fraction is not used
             self.arm.set_speed_slider(values["speed_slider_fraction"], self.now)
-        if "standard_digital_output" in values:
-            mask = values.get("standard_digital_output_mask", 0)
-            self.digital_outputs = (self.digital_outputs & ~mask) | (values["standard_digital_output"] & mask)
+        self.signals.write(values)
         if program is not None and not self.deaf:
             program.cycle(self.now)
 

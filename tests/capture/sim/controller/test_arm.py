@@ -6,7 +6,7 @@ import pytest
 from koala3d.capture.drivers.ur.modes import SafetyMode
 from koala3d.capture.model.kinematics import UR5E, forward
 from koala3d.capture.sim.controller.arm import PAUSE_S, SimulatedArm
-from koala3d.capture.sim.controller.profiles import Braking
+from koala3d.capture.sim.controller.motions.profiles import Braking
 from koala3d.datasets import pose
 
 HOME = np.array([0, -np.pi / 2, 0, -np.pi / 2, 0, 0])

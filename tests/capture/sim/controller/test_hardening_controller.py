@@ -12,14 +12,15 @@ import pytest
 from koala3d.capture.drivers.ur.rtde import program
 from koala3d.capture.drivers.ur.rtde.wire import packet
 from koala3d.capture.sim.controller.arm import SimulatedArm
+from koala3d.capture.sim.controller.commands.table import ACTIONS, ANSWERS, CALLS
 from koala3d.capture.sim.controller.process import SimulatedController
-from koala3d.capture.sim.controller.script import ACTIONS, ANSWERS, DONE, ControlProgram, check
+from koala3d.capture.sim.controller.script import DONE, ControlProgram, check
 from koala3d.capture.sim.controller.urscript.lexer import ScriptError
 from tests.moments import until
 
 HOME = np.array([0, -np.pi / 2, 0, -np.pi / 2, 0, 0])
-UNKNOWN = [number for number in range(1, 80) if number not in ACTIONS and number not in ANSWERS]
-"""Commands of the client that the simulation does not carry out: paths, payload, freedrive and others."""
+UNKNOWN = [number for number in range(1, 100) if number not in ACTIONS and number not in ANSWERS]
+"""Commands of the client that the simulation does not carry out: those that need forces or masses, and numbers that it has not."""
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +60,7 @@ def test_protocol_version_1_has_neither_frequencies_nor_recipe_numbers(controlle
 
 
 def test_the_premise_there_are_commands_that_are_not_simulated() -> None:
-    assert len(UNKNOWN) > 20 and set(UNKNOWN) >= {5, 7, 13, 14}
+    assert len(UNKNOWN) > 20 and set(UNKNOWN) >= {5, 6, 7, 12, 13, 14}
 
 
 @pytest.mark.parametrize("number", UNKNOWN[::6])
@@ -69,7 +70,8 @@ def test_an_unknown_command_ends_the_program_with_the_reason(number: int, caplog
     with caplog.at_level(logging.WARNING):
         control.cycle(0.0)
     assert not control.running and control.output_ints[0] != DONE
-    assert f"command {number} is not simulated" in caplog.text
+    name = f"{CALLS[number]} (command {number})" if number in CALLS else f"command {number}"
+    assert f"{name} is not simulated" in caplog.text
 
 
 def test_an_output_cannot_be_an_input(controller: SimulatedController) -> None:
@@ -153,12 +155,12 @@ def test_the_vendors_client_sees_an_ended_program_and_starts_again() -> None:
         client, outputs = rtde_control.RTDEControlInterface(controller.host), rtde_io.RTDEIOInterface(controller.host)
         home = controller.ask("truth")["joints"]
         assert client.moveJ(home, 1.0, 1.4) and outputs.setStandardDigitalOut(1, True) and client.isProgramRunning()
-        assert not client.setPayload(1.0, [0.0, 0.0, 0.0]) and not client.isProgramRunning()
-        assert controller.last_line() == "the program was ended: command 17 is not simulated"
+        assert not client.forceModeSetDamping(0.1) and not client.isProgramRunning()
+        assert controller.last_line() == "the program was ended: forceModeSetDamping (command 20) is not simulated"
         assert client.reuploadScript()
         until(client.isProgramRunning, "a program that runs")
         assert client.moveJ(home, 1.0, 1.4)
-        outputs.setToolDigitalOut(0, True)
-        until(lambda: not client.isProgramRunning(), "the end of the program")
-        assert controller.last_line() == "the program was ended: input tool_digital_output_mask is not simulated"
+        client.setExternalForceTorque([0.0] * 6)  # the client mistakes the recipe, and does not notice
+        until(lambda: controller.last_line(), "a line about it")
+        assert controller.last_line().startswith("a packet was ignored: 52 bytes where the recipe has")
         client.disconnect()

@@ -3,7 +3,8 @@
 import numpy as np
 
 from koala3d.capture.sim.controller.arm import SimulatedArm
-from koala3d.capture.sim.controller.script import DONE, END, EVERY_CYCLE, READY, ControlProgram
+from koala3d.capture.sim.controller.commands.table import EVERY_CYCLE
+from koala3d.capture.sim.controller.script import DONE, END, READY, ControlProgram
 
 HOME = np.array([0, -np.pi / 2, 0, -np.pi / 2, 0, 0])
 
@@ -81,6 +82,8 @@ def test_upper_registers_are_found_in_the_uploaded_text():
 
 
 def test_commands_of_every_cycle_are_never_done():
-    assert set(EVERY_CYCLE) == {58}
-    program = _program()
-    assert _order(program, 58) == READY
+    for number in EVERY_CYCLE:
+        program = _program()
+        assert _order(program, number, [0.3, 0.2, 0.4, 0.0, 2.0, 0.0, 0.5, 0.0, 0.002, 0.1, 300.0]) == READY
+        program.cycle(0.1)
+        assert program.output_ints[0] == READY

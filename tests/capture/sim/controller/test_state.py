@@ -33,3 +33,11 @@ def test_a_safeguard_pauses_the_motion_and_lets_it_go_on_by_itself() -> None:
     assert controller.arm.safety is SafetyMode.NORMAL
     until(lambda: not controller.arm.moving(controller.now), "the end of the motion")
     np.testing.assert_allclose(controller.arm.target(controller.now)[0], HOME + 1)
+
+
+def test_an_input_that_is_not_simulated_ends_the_program_with_its_name() -> None:
+    said = list[str]()
+    controller = Controller(SimulatedArm(0, HOME, 0.0, 0.0), 20.0, Installation(), said.append)
+    controller.upload(program.text())
+    controller.write_inputs({"external_force_torque": [0.0] * 6})
+    assert said == ["the program was ended: input external_force_torque is not simulated"] and not controller.program_running

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from koala3d.capture.sim.controller.profiles import Braking, Chain, Move, trapezoid_times
+from koala3d.capture.sim.controller.motions.profiles import Braking, Chain, Move, trapezoid_times
 
 START, GOAL = np.zeros(6), np.array([1.2, -0.6, 0.3, 0, 0, 0.1])
 
