@@ -110,6 +110,13 @@ class KinematicArm:
         with self._lock:
             self._arm.stop(DECELERATION, self.now)
 
+    def freedrive(self, on: bool) -> None:
+        """See `capture.drivers.ur.freedrive`."""
+        self._require_entered()
+        with self._lock:
+            self._arm.freedrive = on
+        event("freedrive", on=on)
+
     def clear_stop(self) -> None:
         """See `Robot`."""
         self._stopped.clear()

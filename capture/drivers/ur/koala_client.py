@@ -36,7 +36,7 @@ class KoalaClient:
             self._stream = RtdeStream(host, OUTPUTS, INPUTS, frequency)
         except RegistersInUse as error:
             raise StartError(str(error), StartFailure.IN_USE) from None
-        self._command = Command.NONE
+        self._command, self._is_free = Command.NONE, False
         self._watchdog_hz = watchdog_hz
         self._sample: dict[str, Any] = {}
         self._start(host)
@@ -67,7 +67,15 @@ class KoalaClient:
 
     def stop(self, deceleration: float) -> None:
         """Bring the arm to rest; returns at once."""
+        if self._is_free:
+            self.freedrive(False)
         self._order(Command.STOP, [deceleration])
+
+    def freedrive(self, on: bool) -> bool:
+        """Let a person move the arm by hand, or hold it; whether the controller did so."""
+        done = self._order(Command.TEACH if on else Command.END_TEACH) and self._done(ANSWER_S)
+        self._is_free = on if done else self._is_free
+        return done
 
     def kick(self) -> None:
         """Show the watchdog that somebody is there, by writing the command register once more."""

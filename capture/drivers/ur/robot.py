@@ -17,6 +17,7 @@ from koala3d.capture.drivers.events import event
 from koala3d.capture.drivers.measurements import RobotState
 from koala3d.capture.drivers.safety import Limits
 from koala3d.capture.drivers.ur.client import ClientChoice, StartFailure
+from koala3d.capture.drivers.ur.freedrive import HandGuided
 from koala3d.capture.drivers.ur.link import ChildLink, Deadlines, Sample
 from koala3d.capture.drivers.ur.modes import is_guarded, may_move
 from koala3d.capture.drivers.ur.pendant import Pendant, client_for, require_ready
@@ -36,7 +37,7 @@ START_REMEDIES = {
 }
 
 
-class UniversalRobot:
+class UniversalRobot(HandGuided):
     """One arm of Universal Robots: moves to joint angles, reports where the flange is.
 
     Poses are `base_from_flange` in metres in the base of the teach pendant. The controller reports the tool centre

@@ -20,7 +20,7 @@ class VendorClient:
     """Both connections of the library, as a `Client`."""
 
     def __init__(self, host: str, frequency: float, watchdog_hz: float) -> None:
-        self.name = versioned("ur_rtde", "ur-rtde")
+        self.name, self._is_free = versioned("ur_rtde", "ur-rtde"), False
         try:
             self._receive = RTDEReceiveInterface(host, frequency, VARIABLES)
             self._control = RTDEControlInterface(host, frequency)
@@ -64,7 +64,15 @@ class VendorClient:
 
     def stop(self, deceleration: float) -> None:
         """Bring the arm to rest; returns at once."""
+        if self._is_free:
+            self.freedrive(False)
         self._control.stopJ(deceleration, True)
+
+    def freedrive(self, on: bool) -> bool:
+        """Let a person move the arm by hand, or hold it; whether the controller did so."""
+        done = bool(self._control.teachMode() if on else self._control.endTeachMode())
+        self._is_free = on if done else self._is_free
+        return done
 
     def kick(self) -> None:
         """Show the controller's watchdog that somebody is there."""
