@@ -116,11 +116,21 @@ def _turn(rig: Rig, view: PlannedView) -> None:
     rig.turntable.turn_to(view.viewpoint.turntable)
 
 
+def _light(rig: Rig, view: PlannedView) -> None:
+    """Switch on the lamps of a view, and the others off, where it states them."""
+    if view.viewpoint.lamps is None:
+        return
+    if rig.lamps is None:  # a rig without them is refused before
+        raise UsageError("the rig switches no lamps", where=f"view {view.viewpoint.name}")
+    rig.lamps.switch(view.viewpoint.lamps)
+
+
 def _expose(
     recordings: list[Recording], rig: Rig, index: int, view: PlannedView, arrived_ns: int, trajectory: Trajectory
 ) -> TakenView:
     """Take the pictures of one view with every camera, with the pose before and after them all."""
     name, split, motion = view.viewpoint.name, view.viewpoint.split, trajectory.motion
+    _light(rig, view)
     for one in rig.each.values():
         if one.ground_truth is not None:
             one.ground_truth.prepare(index)
@@ -159,7 +169,7 @@ def _expose(
                 turntable_angle_after=angle_after,
                 wall_time=wall_time(taken[0].host_time_ns),
                 joint_temperatures=state.joint_temperatures,
-                lights=rig.description.lights_on(trajectory.lights),
+                lights=rig.description.lights_at(trajectory.lights, view.viewpoint.lamps),
             ),
             taken,
         )

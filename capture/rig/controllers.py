@@ -90,7 +90,7 @@ def write_simulated_rig(
     simulation = {"side_port": controller.side_port, "scene": scene, "seed": seed}
     rig = rig or RigDescription()
     own = {"host": controller.host, **rig.robot.model_dump(mode="json", include={"model"}, exclude_defaults=True)}
-    kept = {"camera", "flange_from_camera", "cameras", "beside", "obstacles", "turntable", "lights"}
+    kept = {"camera", "flange_from_camera", "cameras", "beside", "obstacles", "turntable", "lights", "lamps"}
     rest = rig.model_dump(mode="json", include=kept, exclude_defaults=True)
     content = {"robot": own, **rest, "simulation": simulation}
     files.write_text(path, yaml.safe_dump(content, sort_keys=False))

@@ -8,16 +8,19 @@ from typing import TYPE_CHECKING
 
 from koala3d.capture.drivers.errors import naming
 from koala3d.capture.drivers.protocols import Turntable
+from koala3d.capture.model.rig import RigDescription
 from koala3d.capture.model.trajectory import Trajectory
 from koala3d.capture.model.turntable import TurntableDescription, required
 from koala3d.capture.rig.arms import Examination, arm_of
 from koala3d.capture.rig.cameras import camera_in
 from koala3d.capture.rig.controllers import controller_of, device_lock, host_of
+from koala3d.capture.rig.lamps import SwitchedLamps
 from koala3d.capture.rig.naming import describe
 from koala3d.capture.rig.rig import Rig
 from koala3d.datasets.core.errors import UsageError
 
 if TYPE_CHECKING:
+    from koala3d.capture.rig.controllers import Simulation
     from koala3d.capture.sim.turntable import SimulatedTurntable
 
 
@@ -44,7 +47,7 @@ def open_rig(
         take_over: end a program that runs on the controller; else the arm is left to it.
         radiometry: measured response of the camera, in place of the one that the rig file names.
 
-    Raises UsageError: `radiometry` for several cameras, or views that turn a turntable which the rig lacks. KoalaError names
+    Raises UsageError: `radiometry` for several cameras, or views that turn a turntable or switch lamps which the rig lacks. KoalaError names
     the camera that could not be opened.
     """
     description = describe(name)
@@ -56,6 +59,7 @@ def open_rig(
         description = description.model_copy(update={"camera": camera})
     table = required(description.turntable, trajectory.name) if trajectory.turns else None
     hangs = trajectory.upwards < 0
+    description.require_lamps(trajectory.switched, trajectory.name)
     with controller_of(name, description, hangs=hangs, seed=seed, time_scale=time_scale) as controller:
         examine(description, host_of(description, controller), controller is not None)
         simulation = description.simulation
@@ -73,14 +77,24 @@ def open_rig(
             stack.enter_context(device_lock(f"arm-{description.robot.host}", "arm", controller))
             robot = stack.enter_context(arm_of(description, trajectory, controller, take_over))
             driven = table if turned is None else turned.reached
+            lamps = stack.enter_context(_lamps(description, controller) if trajectory.switches else nullcontext())
             turntable = stack.enter_context(_turntable(driven))  # last, since it may turn to find its zero
             extra = {} if controller is None else {"scene": scene, "seed": seed}
             rigs = {
-                camera_name: Rig(robot, camera, one, name, truth, extra, turntable)
+                camera_name: Rig(robot, camera, one, name, truth, extra, turntable, lamps)
                 for camera_name, (camera, one, truth) in opened.items()
             }
             first = next(iter(rigs.values()))
             yield replace(first, cameras=rigs) if description.cameras else first
+
+
+def _lamps(description: RigDescription, controller: "Simulation | None") -> SwitchedLamps:
+    """The switched lamps, not connected. Raises UsageError: the arm has no controller with digital outputs."""
+    host = host_of(description, controller)
+    if description.arm.family != "ur":
+        remedy = "leave 'lamps' out of the trajectory, or switch them by hand and state 'lights'"
+        raise UsageError(f"no controller of the {description.arm.name} switches lamps", where="lamps", remedy=remedy)
+    return SwitchedLamps(host, {name: lamp.output for name, lamp in description.lamps.items()})
 
 
 def _turntable(table: TurntableDescription | None) -> AbstractContextManager[Turntable | None]:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from koala3d.capture.drivers.protocols import Camera, GroundTruth, Robot, Turntable
 from koala3d.capture.model.carrier import Carrier
 from koala3d.capture.model.rig import RigDescription
+from koala3d.capture.rig.lamps import SwitchedLamps
 
 
 @dataclass(frozen=True)
@@ -22,6 +23,7 @@ class Rig:
     ground_truth: GroundTruth | None = None  # only in a simulation
     extra: dict[str, Any] = field(default_factory=dict)  # more entries for the manifest: the scene and seed of a simulation
     turntable: Turntable | None = None  # connected where the trajectory turns the object
+    lamps: SwitchedLamps | None = None  # connected where the trajectory switches lamps
     cameras: "dict[str, Rig]" = field(default_factory=dict)  # the rig as each camera has it, by name; empty: there is one camera
 
     @property

@@ -135,6 +135,10 @@ class KinematicArm:
             moments = self.now + (np.arange(count) + 0.5) / max(count, 1) * exposure_s
             return np.stack([self._arm.true_base_from_flange(moment) for moment in moments])
 
+    def signals(self) -> dict[str, Any]:
+        """Electrical outputs: it has no controller, and nothing is on."""
+        return {"digital": 0}
+
     def _require_entered(self) -> None:
         if not self._entered:
             raise RigConnectionError("the robot is not connected", where=self.model.name, remedy="enter the context again")
