@@ -54,8 +54,8 @@ class _Group(Schema):
     lamps: list[list[LampName]] | None = Field(
         default=None,
         min_length=1,
-        description="sets of the rig's switched lamps, under each of which each view is taken while the arm stands still; an empty "
-        "set: all are off; null: they are left as they are",
+        description="sets of the rig's switched lamps, under each of which each view is taken while the arm stands still; "
+        "an empty set: all are off; null: they are left as they are",
     )
     use: Literal["train", "test"] | None = Field(
         default=None, description="what all views of the group are for; null: train, or what 'split' of the trajectory says"

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from koala3d.capture.drivers.errors import naming
 from koala3d.capture.drivers.protocols import Turntable
@@ -47,8 +47,8 @@ def open_rig(
         take_over: end a program that runs on the controller; else the arm is left to it.
         radiometry: measured response of the camera, in place of the one that the rig file names.
 
-    Raises UsageError: `radiometry` for several cameras, or views that turn a turntable or switch lamps which the rig lacks. KoalaError names
-    the camera that could not be opened.
+    Raises UsageError: `radiometry` for several cameras, or views that need a turntable or lamps which the rig lacks.
+    KoalaError names the camera that could not be opened.
     """
     description = describe(name)
     if radiometry is not None:
@@ -71,21 +71,23 @@ def open_rig(
             opened = {}
             for number, (camera_name, one) in enumerate(description.each.items()):
                 with naming(camera_name):
-                    stack.enter_context(device_lock(f"camera-{one.camera.model}-{one.camera.serial}", "camera", controller))
+                    stack.enter_context(_camera_lock(one, controller))
                     camera, truth = camera_in(one, trajectory, controller, scene, seed, turned, number)
                     opened[camera_name] = stack.enter_context(camera), one, truth
             stack.enter_context(device_lock(f"arm-{description.robot.host}", "arm", controller))
             robot = stack.enter_context(arm_of(description, trajectory, controller, take_over))
-            driven = table if turned is None else turned.reached
             lamps = stack.enter_context(_lamps(description, controller) if trajectory.switches else nullcontext())
+            driven = table if turned is None else turned.reached
             turntable = stack.enter_context(_turntable(driven))  # last, since it may turn to find its zero
             extra = {} if controller is None else {"scene": scene, "seed": seed}
-            rigs = {
-                camera_name: Rig(robot, camera, one, name, truth, extra, turntable, lamps)
-                for camera_name, (camera, one, truth) in opened.items()
-            }
+            parts: dict[str, Any] = {"extra": extra, "turntable": turntable, "lamps": lamps}
+            rigs = {key: Rig(robot, camera, one, name, truth, **parts) for key, (camera, one, truth) in opened.items()}
             first = next(iter(rigs.values()))
             yield replace(first, cameras=rigs) if description.cameras else first
+
+
+def _camera_lock(one: RigDescription, controller: "Simulation | None") -> AbstractContextManager[None]:
+    return device_lock(f"camera-{one.camera.model}-{one.camera.serial}", "camera", controller)
 
 
 def _lamps(description: RigDescription, controller: "Simulation | None") -> SwitchedLamps:

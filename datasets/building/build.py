@@ -92,7 +92,7 @@ def build(
 
 
 def build_under_lamps(recording_path: Path, calibration_path: Path, out: Path, **options: Any) -> dict[str, Scene]:
-    """The scene of a recording, by the empty name; of one under several sets of lamps a scene for each, in a folder with its name.
+    """The scene of a recording, by the empty name; of one under several sets of lamps one for each, in a folder with its name.
 
     Arguments and errors as in `build`; nothing that holds something is written to.
     """

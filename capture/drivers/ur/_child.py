@@ -2,7 +2,8 @@
 
 The vendor's client can hang, hold the interpreter or crash when a connection breaks; the parent then kills this process. The two
 exchange JSON lines over the socket FD. This one sends {"ready": ...} or {"failed": ...}, then {"state": ...} for every new sample
-and {"accepted": number} or {"refused": number} for every motion. It receives {"do": "move" | "stop" | "freedrive"}. It ends with the socket.
+and {"accepted": number} or {"refused": number} for every motion. It receives {"do": "move" | "stop" | "freedrive"}. It ends with
+the socket.
 """
 
 import contextlib

@@ -83,7 +83,7 @@ def lit(surroundings: Picture, burning: tuple[bool, ...]) -> Picture:
 
 
 def brightness(burning: tuple[bool, ...]) -> float:
-    """Light of evenly lit things under some of the lamps, relative to all of them; the second lamp is twice as near, and so on."""
+    """Light on evenly lit things under some of the lamps, relative to all; the second lamp is twice as bright, and so on."""
     shares = np.arange(1, len(burning) + 1) / max(sum(range(1, len(burning) + 1)), 1)
     return float(AMBIENT + (1 - AMBIENT) * (shares @ np.asarray(burning, np.float64)))
 

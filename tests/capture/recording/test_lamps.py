@@ -153,7 +153,8 @@ def test_a_scene_is_built_for_each_set(controller, rig, tmp_path, run_inside):
     from koala3d.datasets.formats import koala
 
     (tmp_path / "t.yaml").write_text(
-        "format: koala-trajectory\nversion: 1\nname: lit\nsplit: {train: 1, test: 1}\nobject: {centre: [0.4, 0, 0.1], size: [0.2, 0.2, 0.2]}\n"
+        "format: koala-trajectory\nversion: 1\nname: lit\nsplit: {train: 1, test: 1}\n"
+        "object: {centre: [0.4, 0, 0.1], size: [0.2, 0.2, 0.2]}\n"
         "camera: {binning: 4, width: 48, height: 32}\nviews:\n  - kind: orbit\n    target: [0.4, 0, 0.14]\n    distance: 0.4\n"
         f"    elevation_deg: 50\n    count: 2\n    roll_deg: [0, 90, 180, 270]\n    lamps: {SETS}\n"
     )

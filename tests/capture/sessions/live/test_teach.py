@@ -102,7 +102,8 @@ def test_views_are_added_after_those_that_a_person_wrote(jog, session, tmp_path)
     path = tmp_path / "mine.yaml"
     orbit = "{kind: orbit, target: [0.4, 0, 0.14], distance: 0.4, elevation_deg: 50, count: 3}"
     path.write_text(
-        f"format: koala-trajectory\nversion: 1\nname: mine\nviews:\n  - {orbit}\nobject: {{centre: [0.4, 0, 0.1], size: [0.2, 0.2, 0.2]}}\n"
+        f"format: koala-trajectory\nversion: 1\nname: mine\nviews:\n  - {orbit}\n"
+        "object: {centre: [0.4, 0, 0.1], size: [0.2, 0.2, 0.2]}\n"
     )
     assert Teaching(path, session, jog.obstacles).take(jog.robot.state().joints) == "003"
     found = load_trajectory(path)
