@@ -50,10 +50,16 @@ def _versions() -> dict[str, str]:
 
 
 def commit(folder: Path) -> str:
-    """The git commit of a working copy, ending in "-dirty" if its files differ from it; empty where there is none."""
-    command = ["git", "-C", str(folder), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    """The git commit of a working copy, ending in "-dirty" if its files differ from it; empty where there is none.
+
+    A folder that git does not track has none, such as a package that is installed somewhere below another project.
+    """
+    return _git(folder, "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*") if _git(folder, "ls-files", ".") else ""
+
+
+def _git(folder: Path, *words: str) -> str:
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=GIT_S, check=False)
+        done = subprocess.run(["git", "-C", str(folder), *words], capture_output=True, text=True, timeout=GIT_S, check=False)
     except (OSError, subprocess.TimeoutExpired):
         return ""
     return done.stdout.strip() if done.returncode == 0 else ""

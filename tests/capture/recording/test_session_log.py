@@ -106,6 +106,8 @@ def test_the_software_is_identified(tmp_path):
         subprocess.run([*git, *words], check=True)
     head = subprocess.run([*git, "rev-parse", "HEAD"], check=True, capture_output=True, text=True).stdout.strip()
     assert provenance.commit(tmp_path) == head
+    (tmp_path / "venv").mkdir()
+    assert provenance.commit(tmp_path / "venv") == ""  # installed below another project
     (tmp_path / "a").write_text("2")
     assert provenance.commit(tmp_path) == f"{head}-dirty"
 
