@@ -67,6 +67,7 @@ def plan(
     rig: RigName = "sim",
     plot: Annotated[Path | None, Option(metavar="PLAN.png", help="Draw views, paths and joint angles.")] = None,
     page: Annotated[Path | None, Option(metavar="PLAN.html", help="Write a page with the plan in 3D.")] = None,
+    urdf: Annotated[Path | None, Option(metavar="FOLDER", help="Write the rig as a URDF, and the plan for MoveIt.")] = None,
     coverage: Coverage = None,
     for_mesh: ForMesh = None,
     out: Out = None,
@@ -96,7 +97,7 @@ def plan(
         raise UsageError("is printed by --for-mesh as well", where="--coverage", remedy="leave it out")
     if trajectory is None and for_mesh is None:
         raise UsageError("no TRAJECTORY is given", remedy="name one of 'capture list', or a file")
-    for path in (plot, page, out):
+    for path in (plot, page, urdf, out):
         if path is not None:
             refuse_existing(path)
     session = load_trajectory(trajectory or DEFAULT, overrides=settings)
@@ -106,7 +107,7 @@ def plan(
         limits = (1.0 if until_coverage is None else until_coverage, views)
         session, words, found = _covering(session, mount, for_mesh, mesh_scale, limits, calibration, out)
     planned = plan_session(session, mount)
-    text, facts = _described(session, mount, planned, plot, page)
+    text, facts = _described(session, mount, planned, plot, page, urdf)
     if coverage is not None:
         from koala3d.capture.sessions.adaptive import coverage as measured
         from koala3d.datasets.calibration import Calibration
@@ -118,12 +119,17 @@ def plan(
 
 
 def _described(
-    session: "Trajectory", mount: "Carrier", planned: "list[PlannedView]", plot: Path | None, page: Path | None
+    session: "Trajectory",
+    mount: "Carrier",
+    planned: "list[PlannedView]",
+    plot: Path | None,
+    page: Path | None,
+    urdf: Path | None,
 ) -> tuple[str, dict[str, Any]]:
-    """What to report of a plan, which is drawn if that is asked for."""
+    """What to report of a plan, which is drawn, and written for other programs, if that is asked for."""
     import numpy as np
 
-    from koala3d.capture.planning import Obstacles, draw, duration
+    from koala3d.capture.planning import Obstacles, draw, duration, export
 
     seconds = duration(session, planned, mount.turntable)
     drawings = [(write, path) for write, path in ((draw.plot, plot), (draw.page, page)) if path is not None]
@@ -131,13 +137,16 @@ def _described(
         title = f"{session.name}: {len(planned)} views, about {seconds:.0f} s"
         write(planned, Obstacles.of(session, mount), path, title=title)
     drawn = "".join(f"; drawn in {path}" for _, path in drawings)
+    if urdf is not None:
+        export.write(urdf, session, Obstacles.of(session, mount), planned)
+        drawn += f"; rig and plan for other programs in {urdf}"
     turns, most = float(mount.wound(np.stack([view.joints for view in planned])).max()), mount.cable and mount.cable.max_turns
     wound = f"; the cable is wound up by at most {turns:.2f} of {most:g} turns" if most else ""
     splits = Counter(view.viewpoint.split for view in planned)
     parts = ", ".join(f"{count} {split}" for split, count in splits.items())
     text = f"{session.name}: all {len(planned)} views can be taken ({parts}), in about {seconds:.0f} s{wound}{drawn}"
     found = {"name": session.name, "views": len(planned), "splits": splits, "seconds": round(seconds, 1)}
-    return text, {**found, "cable_turns": round(turns, 3), "plot": plot, "page": page}
+    return text, {**found, "cable_turns": round(turns, 3), "plot": plot, "page": page, "urdf": urdf}
 
 
 def _covering(

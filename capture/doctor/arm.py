@@ -23,7 +23,7 @@ def check(answers: ControllerReport, robot: RobotDescription, up: int | None) ->
 
 
 def _model(answers: ControllerReport, robot: RobotDescription) -> Line:
-    name, stated = "arm model", load_arm(robot.model).name
+    name = "arm model"
     base_from_flange = answers.base_from_flange
     if answers.sample is None or base_from_flange is None:
         return unknown(name, "the controller does not say where its flange is", "enable RTDE and Primary at the pendant")
@@ -32,7 +32,7 @@ def _model(answers: ControllerReport, robot: RobotDescription) -> Line:
     if not found.certain:
         return wrong(name, f"none that is known: nearest {words}", "write a file for this arm, or check the tool offset")
     remedy = f"the rig file has robot.model: {robot.model}; plans and collision checks would be those of another arm"
-    return judged(name, found.model.name == stated, words, remedy)
+    return judged(name, found.may_be(load_arm(robot.model)), words, remedy)
 
 
 def _kinematics(answers: ControllerReport) -> Line:

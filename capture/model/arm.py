@@ -232,6 +232,10 @@ class Identified:
         """Whether it can be that model at all."""
         return self.distance_m < BUILT_M
 
+    def may_be(self, other: ArmModel) -> bool:
+        """Whether it is that model, or one with the same links: a UR7e reports what a UR5e reports."""
+        return self.model.links.to_json() == other.links.to_json()
+
 
 @lru_cache(32)
 def load_arm(name: Path | str) -> ArmModel:
@@ -276,7 +280,8 @@ def shipped_arms() -> tuple[ArmModel, ...]:
 def identify(joints: ArrayLike, base_from_flange: ArrayLike) -> Identified:
     """The shipped model whose nominal links bring the flange nearest to the reported (4, 4) pose [m] at these angles [rad].
 
-    Lengths of the models differ by decimetres, and builds of one model by millimetres. Orientations are equal in a family.
+    Lengths of the models differ by decimetres, and builds of one model by millimetres. Orientations are equal in a family. Of
+    models with the same links the first one by file name is returned.
     """
     joints = np.asarray(joints, np.float64)
     models = [model for model in shipped_arms() if model.count == len(joints)]

@@ -16,7 +16,7 @@ from koala3d.capture.drivers.measurements import RobotState
 from koala3d.capture.drivers.safety import Limits
 from koala3d.capture.drivers.ur.settling import Settling, Window
 from koala3d.capture.model.arm import ArmModel
-from koala3d.capture.sim.controller.arm import SimulatedArm
+from koala3d.capture.sim.controller.motions.arm import SimulatedArm
 
 Array = NDArray[np.float64]
 TICK_S = 0.002  # period of the simulation in its own time [s]

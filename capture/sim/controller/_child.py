@@ -16,8 +16,8 @@ import numpy as np
 
 from koala3d.capture.model.arm import load_arm
 from koala3d.capture.sim.controller import primary, side_channel
-from koala3d.capture.sim.controller.arm import SimulatedArm
 from koala3d.capture.sim.controller.installation import Installation
+from koala3d.capture.sim.controller.motions.arm import SimulatedArm
 from koala3d.capture.sim.controller.server import DASHBOARD_PORT, RTDE_PORT, SCRIPT_PORT, ControllerServer
 from koala3d.capture.sim.controller.session import CYCLE_HZ
 

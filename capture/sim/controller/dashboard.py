@@ -1,7 +1,7 @@
 """The dashboard server's protocol: one line in, one line out."""
 
 from koala3d.capture.drivers.ur.modes import RobotMode, SafetyMode
-from koala3d.capture.sim.controller.arm import SimulatedArm
+from koala3d.capture.sim.controller.motions.arm import SimulatedArm
 from koala3d.capture.sim.controller.state import Controller
 
 GREETING = "Connected: Universal Robots Dashboard Server"

@@ -12,7 +12,7 @@ import numpy as np
 from koala3d.capture.drivers.ur.modes import RobotMode, SafetyMode, is_guarded, may_move
 from koala3d.capture.drivers.ur.rtde import wire
 from koala3d.capture.model.kinematics import forward, link_frames
-from koala3d.capture.sim.controller.arm import Payload
+from koala3d.capture.sim.controller.motions.arm import Payload
 from koala3d.capture.sim.controller.motions.profiles import Joints
 from koala3d.capture.sim.controller.state import Controller
 

@@ -10,10 +10,10 @@ import re
 from collections.abc import Callable
 
 from koala3d.capture.model.kinematics import Joints, six_from_pose
-from koala3d.capture.sim.controller.arm import SimulatedArm
 from koala3d.capture.sim.controller.commands import paths
 from koala3d.capture.sim.controller.commands.registers import REGISTERS, Body, ProgramError, Registers
 from koala3d.capture.sim.controller.commands.table import ACTIONS, ANSWERS, EVERY_CYCLE, called
+from koala3d.capture.sim.controller.motions.arm import SimulatedArm
 from koala3d.capture.sim.controller.urscript import parser
 from koala3d.capture.sim.controller.urscript.lexer import ScriptError
 
@@ -141,7 +141,8 @@ class ControlProgram(Registers):
             self.fail(f"{called(self.int_argument(0))}: {error}")
             return
         self._body = None
-        self._state(DONE)
+        if self.arm.may_move:  # else the command was answered by a stop for safety, which ends the program
+            self._state(DONE)
 
     def _state(self, value: int) -> None:
         self.output_ints[self.offset] = value

@@ -13,8 +13,8 @@ from contextlib import contextmanager
 
 from koala3d.capture.drivers.ur.rtde import wire
 from koala3d.capture.sim.controller import dashboard, script
-from koala3d.capture.sim.controller.arm import SimulatedArm
 from koala3d.capture.sim.controller.installation import Installation
+from koala3d.capture.sim.controller.motions.arm import SimulatedArm
 from koala3d.capture.sim.controller.outputs import Outputs
 from koala3d.capture.sim.controller.session import Session
 from koala3d.capture.sim.controller.state import Controller

@@ -11,8 +11,8 @@ from koala3d.capture.drivers.ur.modes import SafetyMode, is_guarded
 from koala3d.capture.drivers.ur.rtde import wire
 from koala3d.capture.model.kinematics import six_from_pose
 from koala3d.capture.sim.controller import script, signals
-from koala3d.capture.sim.controller.arm import SimulatedArm
 from koala3d.capture.sim.controller.installation import Installation
+from koala3d.capture.sim.controller.motions.arm import SimulatedArm
 
 SIMULATED_INPUTS = signals.NAMES | {"speed_slider_fraction", "speed_slider_mask"}
 """Inputs besides the registers. Writing any other one ends the program."""
@@ -124,6 +124,9 @@ class Controller:
         """One cycle of the program, the safety limits and the watchdog."""
         program, now = self.program, self.now
         self.arm.check_limits(now)
+        if self.arm.why:
+            self.report(self.arm.why)
+            self.arm.why = ""
         guarded = is_guarded(self.arm.safety.name)
         if guarded:
             self.pause_program()

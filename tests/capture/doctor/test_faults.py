@@ -50,6 +50,7 @@ FAULTS = {
     "a UR3e": Fault("arm model", "model", {"model": "ur3e"}),
     "a UR10e": Fault("arm model", "model", {"model": "ur10e"}),
     "a UR16e": Fault("arm model", "model", {"model": "ur16e"}),
+    "a UR20": Fault("arm model", "model", {"model": "ur20"}),
     "another arm of the model": Fault("arm serial", "serial", {"serial": "20235500002"}),
     "old software": Fault("software", "version", {"version": [5, 4, 0, 1]}),
     "another calibration": Fault("own kinematics", "model", {"calibrated": False}),

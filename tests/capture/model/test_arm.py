@@ -8,12 +8,14 @@ from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.kinematics import UR5E, forward
 from koala3d.datasets.recording import Recording
 
-NAMES = ["UR10e", "UR16e", "UR3e", "UR5e"]
+NAMES = ["UR10e", "UR15", "UR16e", "UR20", "UR30", "UR3e", "UR5e"]
+TWIN = "UR7e"
+"""Has the links of the UR5e."""
 OTHERS = ["Franka Panda"]
 
 
 def test_the_shipped_arms_are_there_and_the_ur5e_is_the_one_that_everything_else_uses():
-    assert sorted(model.name for model in shipped_arms()) == [*OTHERS, *NAMES]
+    assert sorted(model.name for model in shipped_arms()) == [*OTHERS, *NAMES, TWIN]
     links = load_arm("ur5e").links
     for part in ("d", "a", "alpha", "theta"):
         np.testing.assert_allclose(getattr(links, part), getattr(UR5E, part), atol=1e-15)
@@ -24,8 +26,16 @@ def test_an_arm_as_built_is_told_apart_in_any_pose(name):
     rng = np.random.default_rng(0)
     links = load_arm(name.lower()).links.calibrated(rng, 5e-4, 1e-3)
     for joints in rng.uniform(-np.pi, np.pi, (200, 6)):
+        joints[2] *= 0.85  # with the elbow folded flat, which no arm can, a UR20 reaches as far as a UR30
         found = identify(joints, forward(joints, links))
         assert found.model.name == name and found.certain, joints
+        assert found.may_be(load_arm(name.lower())) and found.may_be(load_arm(TWIN.lower())) == (name == "UR5e")
+
+
+def test_two_models_with_the_same_links_cannot_be_told_apart():
+    joints, arm = np.array([0.2, -1.4, 0.9, -1.5, -1.5, 0.2]), load_arm("ur7e")
+    found = identify(joints, arm.forward(joints))
+    assert found.model.name == "UR5e" and found.may_be(arm) and not found.may_be(load_arm("ur10e"))
 
 
 def test_an_arm_that_is_none_of_them_is_not_certain():
@@ -37,7 +47,15 @@ def test_an_arm_that_is_none_of_them_is_not_certain():
 
 @pytest.mark.parametrize(
     ("name", "position"),
-    [("ur3e", [-0.45675, -0.22315, 0.0665]), ("ur10e", [-1.18425, -0.2907, 0.06085]), ("ur16e", [-0.8384, -0.2907, 0.06085])],
+    [
+        ("ur3e", [-0.45675, -0.22315, 0.0665]),
+        ("ur10e", [-1.18425, -0.2907, 0.06085]),
+        ("ur16e", [-0.8384, -0.2907, 0.06085]),
+        ("ur7e", [-0.8172, -0.2329, 0.0628]),
+        ("ur15", [-1.1639, -0.3258, 0.0825]),
+        ("ur20", [-1.5907, -0.3553, 0.077]),
+        ("ur30", [-1.1407, -0.3553, 0.077]),
+    ],
 )
 def test_the_flange_at_zero_angles_is_where_the_lengths_put_it(name, position):
     """The arm lies along -x: a2 + a3 out, d4 + d6 to -y, and d1 - d5 high."""
@@ -56,11 +74,14 @@ def test_speeds_and_limits_are_the_makers():
     np.testing.assert_allclose(panda.upper, [2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973], atol=1e-9)
     np.testing.assert_allclose(panda.speed, [2.175] * 4 + [2.61] * 3, atol=1e-9)
     np.testing.assert_allclose(np.degrees(ur10e.speed), [120, 120, 180, 180, 180, 180])
+    np.testing.assert_allclose(np.degrees(load_arm("ur15").speed), [180, 180, 240, 300, 300, 300])
+    for name in ("ur20", "ur30"):
+        np.testing.assert_allclose(np.degrees(load_arm(name).speed), [120, 120, 150, 210, 210, 210])
     assert panda.inside(panda.home) and not panda.inside(np.zeros(7)), "the fourth joint cannot reach zero"
 
 
 def test_the_wrist_is_never_farther_than_its_reach():
-    for name in ("ur3e", "ur10e", "panda"):
+    for name in ("ur3e", "ur10e", "ur20", "panda"):
         arm = load_arm(name)
         joints = np.random.default_rng(2).uniform(np.maximum(arm.lower, -np.pi), np.minimum(arm.upper, np.pi), (2000, arm.count))
         distances = [arm.wrist_distance(flange) for flange in arm.forward(joints)]

@@ -24,7 +24,10 @@ def carrier(arm: str = "ur5e", **others) -> Carrier:
     return Carrier(load_arm(arm), MOUNT, **others)
 
 
-@pytest.mark.parametrize(("arm", "length"), [("ur3e", 0.457), ("ur5e", 0.817), ("ur10e", 1.184), ("ur16e", 0.838)])
+@pytest.mark.parametrize(
+    ("arm", "length"),
+    [("ur3e", 0.457), ("ur5e", 0.817), ("ur10e", 1.184), ("ur16e", 0.838), ("ur15", 1.164), ("ur20", 1.591), ("ur30", 1.141)],
+)
 def test_each_arm_is_as_long_as_it_is(arm: str, length: float) -> None:
     """A wall just beyond the end of the forearm is free; one that is nearer is not. The maker states these lengths."""
     one = carrier(arm)
@@ -120,7 +123,7 @@ def test_limits_of_joints_are_those_of_the_model() -> None:
     assert solve(Viewpoint(joints=np.zeros(6)), Obstacles(panda, 0.02)).reason.startswith("6 joint angles for the Franka Panda")
 
 
-@pytest.mark.parametrize("arm", ["ur3e", "ur5e", "ur10e", "ur16e", "panda"])
+@pytest.mark.parametrize("arm", ["ur3e", "ur5e", "ur7e", "ur10e", "ur15", "ur16e", "ur20", "ur30", "panda"])
 def test_every_arm_is_free_at_home(arm: str) -> None:
     one = carrier(arm)
     for home in (one.arm.home, one.arm.hanging_home):

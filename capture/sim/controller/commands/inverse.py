@@ -5,13 +5,13 @@ from numpy.typing import NDArray
 
 from koala3d.capture.model import kinematics
 from koala3d.capture.model.kinematics import Joints
-from koala3d.capture.sim.controller.arm import SimulatedArm
 from koala3d.capture.sim.controller.commands.registers import ProgramError
+from koala3d.capture.sim.controller.motions.arm import SimulatedArm
 from koala3d.datasets import pose
 
 
 def inverse(arm: SimulatedArm, base_from_tcp: NDArray[np.float64], near: Joints) -> Joints:
-    """(6,) joint angles nearest to `near` that bring the tool to a pose with the true links. Raises ProgramError: there are none."""
+    """(6,) joint angles nearest to `near` that bring the tool to a pose. Raises ProgramError: there are none."""
     base_from_flange = base_from_tcp @ pose.inverse(arm.flange_from_tcp)
     branches = arm.model.inverse(base_from_flange)
     if not len(branches):

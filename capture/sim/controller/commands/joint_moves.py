@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from koala3d.capture.model.kinematics import Joints
-from koala3d.capture.sim.controller.arm import SimulatedArm
 from koala3d.capture.sim.controller.commands.inverse import inverse
 from koala3d.capture.sim.controller.commands.registers import Action, Body, ProgramError, Registers
+from koala3d.capture.sim.controller.motions.arm import SimulatedArm
 from koala3d.capture.sim.controller.motions.blends import JointPath, Schedule, halves, turning
 from koala3d.capture.sim.controller.motions.profiles import Trapezoid
 

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koala3d.capture.model.kinematics import Joints, pose_from_six
-from koala3d.capture.sim.controller.arm import SimulatedArm
 from koala3d.capture.sim.controller.commands.inverse import inverse
 from koala3d.capture.sim.controller.commands.joint_moves import joint_path
 from koala3d.capture.sim.controller.commands.registers import Action, Body, ProgramError, Registers
 from koala3d.capture.sim.controller.commands.tool_moves import tool_path
+from koala3d.capture.sim.controller.motions.arm import SimulatedArm
 from koala3d.capture.sim.controller.motions.profiles import Chain, Profile, end_of
 from koala3d.capture.sim.controller.urscript.lexer import ScriptError
 
@@ -108,7 +108,7 @@ def _move(at: Registers) -> Body | None:
 
 
 def _announce(at: Registers, begins: list[float]) -> Body:
-    """Report each waypoint when the motion to it begins. The first report counts as a new operation, as the client's program has it."""
+    """Report each waypoint when the motion to it begins. As in the client's program, the first report is a new operation."""
     motion = at.arm.profile
     for number, begin in enumerate(begins):
         while at.arm.profile is motion and at.arm.phase(at.now) < begin:

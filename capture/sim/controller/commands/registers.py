@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koala3d.capture.model.kinematics import Joints, pose_from_six
-from koala3d.capture.sim.controller.arm import SimulatedArm
+from koala3d.capture.sim.controller.motions.arm import SimulatedArm
 from koala3d.capture.sim.controller.motions.profiles import Profile
 
 REGISTERS = 48  # of each kind and direction

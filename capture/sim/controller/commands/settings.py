@@ -3,8 +3,8 @@
 import numpy as np
 
 from koala3d.capture.model.kinematics import pose_from_six, singularity
-from koala3d.capture.sim.controller.arm import Payload
 from koala3d.capture.sim.controller.commands.registers import Action, Answer, Registers
+from koala3d.capture.sim.controller.motions.arm import Payload
 
 NEAR_SINGULARITY, AT_SINGULARITY = 0.1, 0.04
 """Smallest singular value of the jacobian below which freedrive warns, and resists. The controller's own are not published."""

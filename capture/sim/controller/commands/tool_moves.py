@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koala3d.capture.model.kinematics import Joints
-from koala3d.capture.sim.controller.arm import SimulatedArm
 from koala3d.capture.sim.controller.commands.registers import Action, Body, ProgramError, Registers
+from koala3d.capture.sim.controller.motions.arm import SimulatedArm
 from koala3d.capture.sim.controller.motions.profiles import Profile, end_of
 from koala3d.capture.sim.controller.motions.tool_paths import lines
 from koala3d.capture.sim.controller.motions.tracking import Stretched, Tracked

@@ -1,1 +1,1 @@
-"""Motions as functions of time: each is a profile, which gives the joints at any moment and ends or goes on until it is stopped."""
+"""The simulated arm and its motions. A motion is a profile: the joints at any moment, to an end or until it is stopped."""

@@ -96,7 +96,11 @@ def turning(points: Joints) -> list[float]:
 
 
 def halves(distances: Sequence[float], reached: Sequence[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
-    """Blends that cover no more than half of a leg. `reached`: as the radius of each waypoint allows, in shares of the two legs."""
+    """Blends that cover no more than half of a leg.
+
+    Args:
+        reached: for each waypoint, how far its radius goes on the leg before and on the one after it, in shares of the legs.
+    """
     limited = []
     for number, (left, covered) in enumerate(reached):
         after = distances[number + 1] if number + 1 < len(distances) else 0.0

@@ -71,7 +71,8 @@ class Lines:
             share, rate = (covered / leg.distance, speed / leg.distance) if leg.distance > 0 else (1.0, 0.0)
             position += share * way
             velocity += rate * np.concatenate([way, rotation @ turn])
-            rotation = rotation @ pose.from_rotation_vector(share * turn)[:3, :3]
+            if share > 0:
+                rotation = rotation @ pose.from_rotation_vector(share * turn)[:3, :3]
         return pose.rigid(rotation, position), velocity
 
 

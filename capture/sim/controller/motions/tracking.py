@@ -9,16 +9,15 @@ from numpy.typing import NDArray
 from koala3d.capture.model import kinematics
 from koala3d.capture.model.kinematics import Joints, Links
 from koala3d.capture.sim.controller.motions.tool_paths import ToolPath
-from koala3d.datasets import pose
 
 Array = NDArray[np.float64]
-SPACING_M = 0.01
+SPACING_M = 0.02
 """Way of the tool between two places at which the joints are solved; in between they are cubics, which miss by less than 1 um."""
-LONGEST_S = 0.25  # between two such places of a slow motion
-PARTS = 8  # of every stretch between two changes of the acceleration, at least
-CONVERGED = 1e-11  # [m, rad]
+SHORTEST_S, LONGEST_S = 1e-3, 0.25  # between two such places, however fast or slow the motion is
+PARTS = 4  # of every stretch between two changes of the acceleration, at least
+CONVERGED = 1e-10  # [m, rad]
 LEAP_RAD = 0.3
-"""A joint that turns more than this between two places, which are a centimetre apart, is at a singularity."""
+"""A joint that turns more than this between two places, which are centimetres apart, is at a singularity."""
 
 
 class Unreachable(Exception):
@@ -39,33 +38,45 @@ class Tool:
 
     def velocity(self, joints: Joints, speeds: Joints) -> Array:
         """(6,) velocity of the tool in the base [m/s, rad/s]."""
-        velocity = kinematics.jacobian(joints, self.links) @ speeds
-        velocity[:3] += np.cross(velocity[3:], self._lever(joints))
-        return velocity
+        return np.asarray(self._sweep(joints)[1] @ speeds)
+
+    def speeds(self, joints: Joints, velocity: Array) -> Joints:
+        """(n,) joint speeds that give the tool a velocity in the base [rad/s]."""
+        return _solved(self._sweep(joints)[1], velocity)
 
     def solve(self, base_from_tcp: Array, near: Joints) -> Joints:
         """(n,) angles next to `near` that bring the tool there. Raises Unreachable: there are none."""
-        target, joints = base_from_tcp @ pose.inverse(self.flange_from_tcp), near
+        joints = near
         for _ in range(12):
-            reached = kinematics.forward(joints, self.links)
-            turn = pose.rotation_vector(target[:3, :3] @ reached[:3, :3].T)
-            miss = np.concatenate([target[:3, 3] - reached[:3, 3], turn])
+            reached, jacobian = self._sweep(joints)
+            miss = np.concatenate([base_from_tcp[:3, 3] - reached[:3, 3], _turn(base_from_tcp, reached)])
             if np.abs(miss).max() < CONVERGED:
                 return joints
-            joints = joints + np.linalg.lstsq(kinematics.jacobian(joints, self.links), miss, rcond=1e-9)[0]
+            joints = joints + _solved(jacobian, miss)
             if np.abs(joints - near).max() > LEAP_RAD:
                 break
         raise Unreachable("the tool's path leads out of reach or through a singularity")
 
-    def speeds(self, joints: Joints, velocity: Array) -> Joints:
-        """(n,) joint speeds that give the tool a velocity in the base [rad/s]."""
-        flange = velocity.copy()
-        flange[:3] -= np.cross(velocity[3:], self._lever(joints))
-        return np.asarray(np.linalg.lstsq(kinematics.jacobian(joints, self.links), flange, rcond=1e-9)[0])
+    def _sweep(self, joints: Joints) -> tuple[Array, Array]:
+        """(4, 4) `base_from_tcp` [m], and the (6, n) velocity of the tool per joint speed."""
+        frames = kinematics.link_frames(joints, self.links)
+        place = frames[-1] @ self.flange_from_tcp
+        x, y, z = frames[:-1, :3, 2].T
+        along, across, up = place[:3, 3, None] - frames[:-1, :3, 3].T
+        return place, np.stack([y * up - z * across, z * along - x * up, x * across - y * along, x, y, z])
 
-    def _lever(self, joints: Joints) -> Array:
-        """(3,) from the flange to the tool centre point in the base [m]."""
-        return np.asarray(kinematics.forward(joints, self.links)[:3, :3] @ self.flange_from_tcp[:3, 3])
+
+def _turn(wanted: Array, reached: Array) -> Array:
+    """(3,) rotation vector of a small turn between two poses in the base [rad]; that of a large one is too short."""
+    turn = wanted[:3, :3] @ reached[:3, :3].T
+    return np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
+
+
+def _solved(jacobian: Array, wanted: Array) -> Joints:
+    try:
+        return np.asarray(np.linalg.solve(jacobian, wanted), np.float64)
+    except np.linalg.LinAlgError:  # exactly at a singularity
+        return np.asarray(np.linalg.lstsq(jacobian, wanted, rcond=1e-9)[0], np.float64)
 
 
 class Tracked:
@@ -135,10 +146,13 @@ class Tracked:
         step = min(SPACING_M / max(way, 1e-9), LONGEST_S)
         if np.isfinite(end):
             step = min(step, (end - before) / PARTS)
+        step = max(step, SHORTEST_S)  # two changes of the acceleration may be as good as one
         return end if now + 1.5 * step >= end else now + step
 
 
-def _cubic(share: float, step: float, first: Joints, last: Joints, slope: Joints, end_slope: Joints) -> tuple[Joints, ...]:
+def _cubic(
+    share: float, step: float, first: Joints, last: Joints, slope: Joints, end_slope: Joints
+) -> tuple[Joints, Joints, Joints]:
     """Angles, speeds and accelerations at a share of `step` [s] between two angles with their speeds (Hermite's cubic)."""
     way, begin, end = last - first, slope * step, end_slope * step
     square, cube = 3 * way - 2 * begin - end, begin + end - 2 * way

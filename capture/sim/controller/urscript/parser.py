@@ -8,11 +8,14 @@
                  | "halt" | "break" | "continue" | "pass" | "enter_critical" | "exit_critical"
     assignment   ["global" | "local"] place "=" expression
 
-Expressions have the usual operators. Their precedence is not read, since nothing is computed; nor is whether a function exists.
+Expressions have the usual operators. Their precedence is not read, since nothing is computed. Every function that is called by
+its name must be defined somewhere in the program, or be one of URScript's own. The language has no `for`.
 """
 
 from collections.abc import Callable
+from difflib import get_close_matches
 
+from koala3d.capture.sim.controller.urscript.builtin import FUNCTIONS
 from koala3d.capture.sim.controller.urscript.lexer import ScriptError, Token, tokens
 
 DEFINITIONS = frozenset("def sec thread".split())
@@ -31,6 +34,7 @@ def check(text: str) -> None:
     parser = _Parser(text)
     while not parser.at_end:
         parser.definition()
+    parser.check_calls()
 
 
 class _Parser:
@@ -38,6 +42,7 @@ class _Parser:
 
     def __init__(self, text: str) -> None:
         self._tokens, self._index, self._depth = tokens(text), 0, 0
+        self._defined, self._called = set[str](), list[tuple[Token, bool]]()
 
     @property
     def _token(self) -> Token:
@@ -54,11 +59,21 @@ class _Parser:
         if self._token.text not in DEFINITIONS:
             raise self._unexpected("a definition")
         begun = self._take()
-        self._name()
+        self._defined.add(self._name().text)
         self._expect("(")
         self._list(")", self._parameter)
         self._body(begun)
         self._expect("end")
+
+    def check_calls(self) -> None:
+        """Raises ScriptError: a function is called that neither the program nor the language has."""
+        for name, is_own in self._called:
+            known = self._defined if is_own else self._defined | FUNCTIONS
+            if name.text not in known:
+                same = [other for other in known if other.lower() == name.text.lower()]
+                close = same or get_close_matches(name.text, sorted(known), 1)
+                hint = f"; did you mean '{close[0]}'?" if close else ""
+                raise ScriptError(f"there is no {'thread' if is_own else 'function'} '{name.text}'{hint}", *name[2:])
 
     def _statement(self) -> None:
         word = self._token.text
@@ -77,6 +92,8 @@ class _Parser:
                 self._expression()
         elif word == "run":
             self._operand()
+        elif word == "for":
+            raise ScriptError("URScript has no 'for': a loop is written with 'while'", *self._token[2:])
         else:
             self._assignment_or_call()
 
@@ -104,8 +121,7 @@ class _Parser:
 
     def _assignment_or_call(self) -> None:
         declared = self._accept("global") or self._accept("local")
-        self._name()
-        called = self._suffixes()
+        called = self._suffixes(self._name())
         if declared or not called:
             self._expect("=")
             self._expression()
@@ -128,8 +144,9 @@ class _Parser:
             raise self._unexpected("an expression")
         while self._token.text in SIGNS:
             self._take()
+        name: Token | None = None
         if self._accept("run"):
-            self._name()
+            self._called.append((self._name(), True))
             self._expect("(")
             self._list(")", self._argument)
         elif self._accept("("):
@@ -142,12 +159,14 @@ class _Parser:
         elif self._token.kind in ("number", "string") or self._token.text in ("True", "False"):
             self._take()
         else:
-            self._name()
-        self._suffixes()
+            name = self._name()
+        self._suffixes(name)
 
-    def _suffixes(self) -> bool:
-        """Arguments, indices and members behind a value; returns whether the last of them are arguments."""
+    def _suffixes(self, name: Token | None) -> bool:
+        """Arguments, indices and members behind a value, or behind a name; returns whether the last of them are arguments."""
         called = False
+        if name is not None and self._token.text == "(":
+            self._called.append((name, False))
         while self._token.text in ("(", "[", "."):
             mark = self._take().text
             called = mark == "("
@@ -181,12 +200,12 @@ class _Parser:
         self._expect(closing)
         self._deeper(-1)
 
-    def _name(self) -> None:
+    def _name(self) -> Token:
         if self._token.kind == "word" and self._token.text in RESERVED:
             raise ScriptError(f"'{self._token.text}' is a word of the language and can be no name", *self._token[2:])
         if self._token.kind != "word":
             raise self._unexpected("a name")
-        self._take()
+        return self._take()
 
     def _take(self) -> Token:
         self._index += 1

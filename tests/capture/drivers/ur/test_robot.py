@@ -26,7 +26,7 @@ from koala3d.capture.drivers.ur.koala_client import KoalaClient
 from koala3d.capture.drivers.ur.robot import UniversalRobot
 from koala3d.capture.drivers.ur.settling import Settling
 from koala3d.capture.model.kinematics import forward
-from koala3d.capture.sim.controller.arm import QUIET_S
+from koala3d.capture.sim.controller.motions.arm import QUIET_S
 from koala3d.capture.sim.controller.process import ENCODER_NOISE_RAD, SimulatedController
 from koala3d.datasets import pose
 from tests.capture.moving import FAR, UNHURRIED, in_motion, moves, rests, stopped_on_its_way

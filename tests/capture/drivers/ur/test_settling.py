@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from koala3d.capture.drivers.ur.settling import Settling, Window
-from koala3d.capture.sim.controller.arm import RINGING_DECAY_S, RINGING_HZ
+from koala3d.capture.sim.controller.motions.arm import RINGING_DECAY_S, RINGING_HZ
 from koala3d.capture.sim.controller.process import ENCODER_NOISE_RAD
 
 RATE_HZ = 500.0

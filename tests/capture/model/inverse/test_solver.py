@@ -12,7 +12,7 @@ from koala3d.capture.model.inverse import numerical
 from koala3d.capture.model.kinematics import wrap
 from koala3d.datasets import pose
 
-NAMES = ["ur3e", "ur5e", "ur10e", "ur16e", "panda"]
+NAMES = ["ur3e", "ur5e", "ur10e", "ur16e", "ur7e", "ur15", "ur20", "ur30", "panda"]
 
 
 def angles_of(arm: ArmModel, shares: list[float]) -> np.ndarray:
@@ -32,7 +32,7 @@ def test_every_branch_reaches_the_pose(name: str, shares: list[float]) -> None:
     assert (distance < 1e-6).all() and (angle < 1e-6).all() and (np.abs(branches) <= np.pi).all()
 
 
-@pytest.mark.parametrize("name", NAMES[:4])
+@pytest.mark.parametrize("name", NAMES[:-1])
 def test_the_configuration_that_we_came_from_is_among_the_branches(name: str) -> None:
     arm, rng = load_arm(name), np.random.default_rng(3)
     for _ in range(50):

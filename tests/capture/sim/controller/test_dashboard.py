@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from koala3d.capture.drivers.ur.modes import RobotMode, SafetyMode
-from koala3d.capture.sim.controller.arm import SimulatedArm
 from koala3d.capture.sim.controller.dashboard import reply
 from koala3d.capture.sim.controller.installation import Installation
+from koala3d.capture.sim.controller.motions.arm import SimulatedArm
 
 
 @pytest.fixture

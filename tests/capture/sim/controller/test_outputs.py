@@ -6,8 +6,8 @@ import pytest
 from koala3d.capture.drivers.ur.modes import SafetyMode
 from koala3d.capture.drivers.ur.rtde import wire
 from koala3d.capture.model.kinematics import forward
-from koala3d.capture.sim.controller.arm import SimulatedArm
 from koala3d.capture.sim.controller.installation import Installation
+from koala3d.capture.sim.controller.motions.arm import SimulatedArm
 from koala3d.capture.sim.controller.outputs import Outputs
 from koala3d.capture.sim.controller.script import ControlProgram
 from koala3d.capture.sim.controller.state import Controller

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from koala3d.capture.drivers.errors import SimulationError
+from koala3d.capture.model.arm import load_arm
 from koala3d.capture.model.kinematics import forward
 from koala3d.capture.sim.controller import _child
 from koala3d.capture.sim.controller.process import HOME, SimulatedController
@@ -34,6 +35,18 @@ def test_ports_accept_while_it_lives_and_not_after():
     assert not _accepts(simulated.host, 30004)
     with pytest.raises(SimulationError, match="does not answer"):
         simulated.true_base_from_flange()
+
+
+@pytest.mark.parametrize(("model", "said"), [("ur7e", "UR7"), ("ur15", "UR15"), ("ur20", "UR20"), ("ur30", "UR30")])
+def test_every_arm_of_the_family_has_its_controller(model, said):
+    arm = load_arm(model)
+    with SimulatedController.start(model=model, home=arm.home) as simulated:
+        np.testing.assert_allclose(simulated.true_base_from_flange(), arm.forward(arm.home), atol=1e-3)
+        with socket.create_connection((simulated.host, 29999), 5.0) as client:
+            answers = client.makefile()
+            assert "Dashboard Server" in answers.readline()
+            client.sendall(b"get robot model\n")
+            assert answers.readline().strip() == said
 
 
 def test_an_arm_as_built_is_the_same_arm_with_the_same_links_seed():
@@ -111,3 +124,18 @@ def test_strangers_on_the_ports_do_no_harm():
             with socket.create_connection((simulated.host, port), 1.0) as stranger:
                 stranger.sendall(words)
         assert simulated.ask("truth")["safety"] == "NORMAL"
+
+
+def test_the_command_says_what_is_refused():
+    host = "127.90.0.7" if sys.platform == "linux" else "127.0.0.1"
+    command = [sys.executable, "-m", "koala3d.capture.cli", "sim", "--host", host]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None and process.stderr is not None
+        assert host in process.stdout.readline()
+        with socket.create_connection((host, 30003), 5.0) as client:
+            client.sendall(b"def program():\n  moveJ([0, 0, 0, 0, 0, 0])\nend\n")
+            answer = client.makefile().readline().strip()
+        assert answer == "line 2, column 3: there is no function 'moveJ'; did you mean 'movej'?"
+        assert process.stderr.readline().strip().endswith(answer)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(10) == 0

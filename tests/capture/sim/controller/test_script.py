@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from koala3d.capture.sim.controller.arm import SimulatedArm
 from koala3d.capture.sim.controller.commands.table import EVERY_CYCLE
+from koala3d.capture.sim.controller.motions.arm import SimulatedArm
 from koala3d.capture.sim.controller.script import DONE, END, READY, ControlProgram
 
 HOME = np.array([0, -np.pi / 2, 0, -np.pi / 2, 0, 0])

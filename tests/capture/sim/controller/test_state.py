@@ -7,8 +7,8 @@ import numpy as np
 from koala3d.capture.drivers.ur.modes import SafetyMode
 from koala3d.capture.drivers.ur.rtde import program
 from koala3d.capture.drivers.ur.rtde.program import FIRST, Command
-from koala3d.capture.sim.controller.arm import SimulatedArm
 from koala3d.capture.sim.controller.installation import Installation
+from koala3d.capture.sim.controller.motions.arm import SimulatedArm
 from koala3d.capture.sim.controller.state import Controller
 from tests.moments import until
 

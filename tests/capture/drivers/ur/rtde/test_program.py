@@ -12,7 +12,7 @@ import pytest
 
 from koala3d.capture.drivers.ur.rtde import program
 from koala3d.capture.drivers.ur.rtde.program import DONE, FIRST, READY, RUNNING_BIT, Command
-from koala3d.capture.sim.controller.arm import SimulatedArm
+from koala3d.capture.sim.controller.motions.arm import SimulatedArm
 from koala3d.capture.sim.controller.script import ControlProgram
 from koala3d.datasets import pose
 

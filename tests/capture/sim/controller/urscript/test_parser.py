@@ -8,6 +8,7 @@ from koala3d.capture.drivers.ur.link import Deadlines
 from koala3d.capture.drivers.ur.robot import UniversalRobot
 from koala3d.capture.drivers.ur.rtde import program
 from koala3d.capture.sim.controller.process import SimulatedController
+from koala3d.capture.sim.controller.urscript.builtin import FUNCTIONS
 from koala3d.capture.sim.controller.urscript.lexer import ScriptError
 from koala3d.capture.sim.controller.urscript.parser import RESERVED, check
 
@@ -59,6 +60,10 @@ PLACES = (
 )
 
 
+OTHERS = ("def c(a):", "return [a]", "end", "thread other():", "sync()", "end")
+"""What the statements call; it may stand behind them."""
+
+
 def program_of(*lines: str) -> str:
     return "\n".join(["def program():", *lines, "end", ""])
 
@@ -66,7 +71,7 @@ def program_of(*lines: str) -> str:
 @pytest.mark.parametrize("statement", STATEMENTS)
 def test_every_statement_is_taken_in_every_place(statement: str) -> None:
     for outer, inner in itertools.product(PLACES, PLACES):
-        program = program_of(outer.format(inner.format(statement)), "x = 0")
+        program = program_of(outer.format(inner.format(statement)), "x = 0", *OTHERS)
         check(program)
         with pytest.raises(ScriptError):  # nothing is taken for the block's end
             check(program.removesuffix("end\n"))
@@ -115,7 +120,14 @@ def test_a_word_of_the_language_is_no_name(word: str) -> None:
         ("x = 1; y = 2", "line 2, column 6: the character ';'"),
         ("def f:\n end", r"':' in place of '\('"),
         ("kill", "line 3, column 1: 'end' in place of an expression"),
-        ("for i in x:\n end", "'for' is a word of the language"),
+        ("for i in x:\n end", "line 2, column 1: URScript has no 'for': a loop is written with 'while'"),
+        ("if x:\n for (i = 0):\n end\n end", "line 3, column 2: URScript has no 'for'"),
+        ("moveJ([0, 0, 0, 0, 0, 0])", "line 2, column 1: there is no function 'moveJ'; did you mean 'movej'?"),
+        ("x = [1, 2 + inverse(3)]", "line 2, column 13: there is no function 'inverse'"),
+        ("if not known(x):\n end", "line 2, column 8: there is no function 'known'"),
+        ("while f(g(1)):\n end\n def f(a):\n end", "line 2, column 9: there is no function 'g'"),
+        ("t = run movej()", "line 2, column 9: there is no thread 'movej'"),
+        ("run other()", "line 2, column 5: there is no thread 'other'"),
         ("x = " + "(" * 5000, "more than 100 blocks and brackets"),
         ("if x:\n" * 5000, "more than 100 blocks and brackets"),
     ],
@@ -123,6 +135,14 @@ def test_a_word_of_the_language_is_no_name(word: str) -> None:
 def test_what_a_controller_does_not_compile_is_refused_with_its_place(lines: str, why: str) -> None:
     with pytest.raises(ScriptError, match=why):
         check(program_of(lines))
+
+
+def test_functions_are_known_wherever_they_are_defined() -> None:
+    check(program_of("f(1)", "def f(a):\n g(a)\n end", "def g(a):\n f(a)\n end", "x = server.any_method(1)"))
+    check(program_of("first()") + "def first():\nend\n")
+    for name in FUNCTIONS:
+        check(program_of(f"{name}()"))
+    assert len(FUNCTIONS) > 250 and not FUNCTIONS & RESERVED
 
 
 def test_a_statement_outside_a_program_is_refused() -> None:

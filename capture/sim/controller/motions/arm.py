@@ -15,8 +15,8 @@ from koala3d.capture.drivers.ur.modes import RobotMode, SafetyMode, may_move
 from koala3d.capture.model.arm import DEFAULT, ArmModel, load_arm
 from koala3d.capture.model.kinematics import Links, forward
 from koala3d.capture.sim.controller.motions.profiles import Braking, Chain, Joints, Move, Profile, Slowing, end_of
+from koala3d.capture.sim.controller.motions.tempo import Tempo
 from koala3d.capture.sim.controller.motions.tracking import Tool, Tracked
-from koala3d.capture.sim.controller.tempo import Tempo
 from koala3d.capture.sim.warmth import Warmth
 from koala3d.datasets import pose
 
@@ -81,6 +81,8 @@ class SimulatedArm:
         self.freedrive, self.button = False, False
         """Whether a person can move the arm by hand, and whether the pendant's button for that is pressed."""
         self.payload: Payload | None = None
+        self.why = ""
+        """Why it has stopped for safety by itself, until that is reported."""
         self._tempo = Tempo(0.0, 0.0, 1.0, 1.0)
         self.motions: deque[tuple[float, Profile]] = deque(maxlen=1000)
         self._visits: dict[int, int] = {}
@@ -217,9 +219,14 @@ class SimulatedArm:
     def check_limits(self, now: float) -> None:
         """Stop for safety where a joint has left its range, and where the path of the tool cannot be followed."""
         angles = self.target(now)[0]
-        lost = isinstance(self.profile, Tracked) and self.phase(now) >= self.profile.fault
-        if self.may_move and (lost or not ((self.joint_limits[0] <= angles) & (angles <= self.joint_limits[1])).all()):
-            self.stop_for_safety(SafetyMode.PROTECTIVE_STOP, now)
+        if not self.may_move:
+            return
+        beyond = np.maximum(self.joint_limits[0] - angles, angles - self.joint_limits[1])
+        if (beyond > 0).any():
+            joint = int(beyond.argmax())
+            self._protect(f"joint {joint + 1} has left its range at {np.degrees(angles[joint]):.0f} degrees", now)
+        elif isinstance(self.profile, Tracked) and self.phase(now) >= self.profile.fault:
+            self._protect("the tool's path leads out of reach, through a singularity, or faster than the joints turn", now)
 
     def reaches(self, joints: Joints) -> bool:
         """Whether the flange may go there."""
@@ -228,7 +235,7 @@ class SimulatedArm:
     def move_to(self, goal: Joints, speed: float, acceleration: float, now: float) -> None:
         """Start a movej; a moving arm slows down to rest first."""
         if not np.isfinite(goal).all() or not self.model.inside(goal):
-            self.stop_for_safety(SafetyMode.PROTECTIVE_STOP, now)
+            self._protect(f"a motion was ordered with {self.model.outside(goal) or 'numbers that are not finite'}", now)
             return
         top, acceleration = min(max(speed, 1e-3), float(self.model.speed.min())), max(acceleration, 1e-3)
         self.begin_from_rest(lambda start: Move(start, goal, top, acceleration), acceleration, now)
@@ -258,6 +265,10 @@ class SimulatedArm:
         self.safety = safety
         if safety is SafetyMode.ROBOT_EMERGENCY_STOP:
             self.mode = RobotMode.POWER_OFF
+
+    def _protect(self, why: str, now: float) -> None:
+        self.why = f"protective stop: {why}"
+        self.stop_for_safety(SafetyMode.PROTECTIVE_STOP, now)
 
     def _stopping_error(self) -> NDArray[np.float64]:
         if self._error is None:

@@ -5,7 +5,7 @@ import pytest
 
 from koala3d.capture.drivers.ur.modes import SafetyMode
 from koala3d.capture.model.kinematics import UR5E, forward
-from koala3d.capture.sim.controller.arm import PAUSE_S, SimulatedArm
+from koala3d.capture.sim.controller.motions.arm import PAUSE_S, SimulatedArm
 from koala3d.capture.sim.controller.motions.profiles import Braking
 from koala3d.datasets import pose
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from koala3d.capture.sim.controller.tempo import Tempo
+from koala3d.capture.sim.controller.motions.tempo import Tempo
 
 
 @pytest.mark.parametrize("tempo", [Tempo(0.2, 5.0, 1.0, 1.0), Tempo(0.2, 5.0, 1.0, 0.0, 0.3), Tempo(0.2, 5.0, 0.4, 1.0, 2.0)])
