@@ -259,6 +259,17 @@ def advise_command(
     serve(sys.stdin, console.line, answer)
 
 
+@app.command("poses", hidden=True)
+@spread
+def poses_command(pictures: Pictures, calibration: Intrinsics = None) -> None:
+    """Find the target in each picture of a recording for 'capture repeatability'; prints one line of JSON."""
+    from koala3d.calib.board_poses import board_poses
+    from koala3d.datasets.recording import Recording
+
+    found = board_poses(pictures.observe()[0], Recording.open(pictures.recording), calibration)
+    console.report(found, as_json=True, text="")
+
+
 app.command("cameras", panel=MAIN)(together_commands.cameras)
 app.command("turntable", panel=MAIN)(turntable_commands.turntable)
 app.command("board", panel=MAIN)(target_commands.board)

@@ -49,15 +49,21 @@ def build(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Make a posed scene from a recording and a calibration."""
-    from koala3d.datasets.building.build import build as build_scene
+    """Make a posed scene from a recording and a calibration.
+
+    If each view was taken under several sets of lamps, the folder holds a scene for each set.
+    """
+    from koala3d.datasets.building.build import build_under_lamps
     from koala3d.datasets.checks.check import summary
     from koala3d.datasets.recording import Recording
 
     with console.progress("building", len(Recording.open(recording).frames), "frames") as shown:
         options: dict[str, Any] = {"sizes": _numbers(sizes), "radiometry": radiometry, "white": white}
-        scene = build_scene(recording, calibration, out, **options, done=shown.advance)
-    console.report({"scene": str(out), **summary(scene)}, as_json=as_json, text=f"{_text(summary(scene))}\nwritten to {out}")
+        scenes = build_under_lamps(recording, calibration, out, **options, done=shown.advance)
+    found = {str(out / name) if name else str(out): summary(scene) for name, scene in scenes.items()}
+    text = "\n".join(f"{_text(facts)}\nwritten to {path}" for path, facts in found.items())
+    (first, *others) = [{"scene": path, **facts} for path, facts in found.items()]
+    console.report({**first, **({"scenes": [first, *others]} if others else {})}, as_json=as_json, text=text)
 
 
 @app.command(panel=LOOK)

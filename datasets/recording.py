@@ -5,6 +5,7 @@
     RECORDING/images/*.png     lossless images
     RECORDING/raw/*.png        of cameras with 12 bits: their raw values
     RECORDING/depth/*.png      of cameras that measure depth: 16 bits, see `DEPTH_KEYS`; a measurement, not truth
+    RECORDING/session.log      what happened, one line per event; see `capture.recording.session_log`
     RECORDING/radiometry.npz   where it was measured: the response of the sensor, see `datasets.radiometry.response`
     RECORDING/truth/           of a simulation only; read by evaluation and nothing else
 
@@ -15,6 +16,7 @@ import json
 import os
 from collections.abc import Collection
 from dataclasses import MISSING, dataclass, field, fields
+from datetime import datetime
 from pathlib import Path
 from typing import Any, Self, cast
 
@@ -27,13 +29,12 @@ from koala3d.datasets.core.errors import DatasetError, UsageError
 from koala3d.datasets.imaging.region import Region
 from koala3d.datasets.kinematics import UR5E, Links
 from koala3d.datasets.radiometry.response import Response
+from koala3d.datasets.radiometry.stored import LARGEST, DepthPicture, Exposure
 from koala3d.datasets.scene import checked_name
 
 FORMAT, VERSION = "koala-recording", 1
 MAX_BYTES = 2**28
 """Larger lists of frames are refused; one of ten thousand frames has a twentieth of this size."""
-LARGEST = 2**64
-"""Limit of every number in a frame; clocks and counters have at most 64 bits."""
 LARGEST_ANGLE = 1e4
 """Limit of a turntable's angle [rad]: 1600 turns."""
 LEAST_TURN = float(np.radians(0.1))
@@ -46,44 +47,6 @@ DEPTH = "depth"
 DEPTH_KEYS = ("unit_m", "camera", "distortion", "camera_from_depth")
 """What the manifest's camera says in its part `depth`: metres per step along z (0 is none measured), the intrinsics of the depth
 pictures, their distortion as the camera's maker models it, and the (4, 4) pose of the depth sensor in the camera [m]."""
-
-
-@dataclass(frozen=True)
-class Exposure:
-    """One picture of a frame as the sensor read it."""
-
-    file: str
-    """Path relative to the recording: below `raw/` raw values, elsewhere developed ones."""
-    exposure_us: float
-    """Exposure time as read back from the camera [us]."""
-    sha256: str
-    """Of the file."""
-
-    @classmethod
-    def from_json(cls, content: Any) -> Self:
-        """Exposure from its dictionary; raises ValueError, KeyError or TypeError where it is not valid."""
-        found = cls(content["file"], float(content["exposure_us"]), content["sha256"])
-        if not (isinstance(found.file, str) and isinstance(found.sha256, str) and 0 < found.exposure_us < LARGEST):
-            raise ValueError(f"exposure is {content!r:.80}")
-        return found
-
-
-@dataclass(frozen=True)
-class DepthPicture:
-    """Depth that a sensor measured beside a picture."""
-
-    file: str
-    """Path relative to the recording."""
-    sha256: str
-    """Of the file."""
-
-    @classmethod
-    def from_json(cls, content: Any) -> Self:
-        """From its dictionary; raises ValueError, KeyError or TypeError where it is not valid."""
-        found = cls(content["file"], content["sha256"])
-        if not (isinstance(found.file, str) and isinstance(found.sha256, str)):
-            raise ValueError(f"depth is {content!r:.80}")
-        return found
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,6 +93,10 @@ class Frame:
     """Names of the lamps of the rig that were on; None where nobody said."""
     depth: DepthPicture | None = None
     """Depth that the camera measured; None where it measures none."""
+    wall_time: str | None = None
+    """Wall-clock time of the exposure, UTC: 2026-11-28T02:38:30.123456Z; None in older recordings."""
+    joint_temperatures: tuple[float, ...] | None = None
+    """Temperatures of the joints before the exposure [degrees Celsius]; None where the controller does not report them."""
 
     @property
     def files(self) -> tuple[str, ...]:
@@ -158,6 +125,12 @@ class Frame:
             taken: dict[str, Any] = {"exposures": tuple(Exposure.from_json(one) for one in content.get("exposures", ()))}
             taken |= {name: _angle(content, name) for name in ("turntable_angle", "turntable_angle_after")}
             taken["lights"] = _names(content.get("lights"))
+            if content.get("joint_temperatures") is not None:
+                taken["joint_temperatures"] = tuple(map(float, content["joint_temperatures"]))
+                if not all(abs(value) < LARGEST for value in taken["joint_temperatures"]):
+                    raise ValueError(f"joint_temperatures is {content['joint_temperatures']!r:.80}")
+            if content.get("wall_time") is not None:
+                datetime.fromisoformat(content["wall_time"])
             if content.get("depth") is not None:
                 taken["depth"] = DepthPicture.from_json(content["depth"])
             for one in fields(cls):

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from koala3d.capture.cli import calibrate, doctor, flat, look, plan, recording, run, sim, view
+from koala3d.capture.cli import calibrate, doctor, flat, look, plan, recording, repeatability, run, sim, view
 from koala3d.datasets.core import console
 
 app = console.make_app("capture", "Move a robot and a camera along a trajectory, real or simulated, and make a recording.")
@@ -26,7 +26,7 @@ def list_command(as_json: console.Json = False) -> None:
 for panel, commands in {
     console.MAIN: (plan.plan, run.run, calibrate.calibrate),
     console.LOOK: (view.view, look.look),
-    console.CHECK: (doctor.doctor, recording.check, recording.replay),
+    console.CHECK: (doctor.doctor, recording.check, recording.replay, repeatability.repeatability),
     console.STUDY: (flat.flat, sim.sim),
 }.items():
     for command in commands:

@@ -32,6 +32,15 @@ WithArm = Annotated[
     bool, Option("--arm", help="Connect the arm too; the page moves it to views of the trajectory.", rich_help_panel=ARM)
 ]
 Go = Annotated[str | None, Option("--go", metavar="VIEW", help="First move the arm to this view.", rich_help_panel=ARM)]
+Teach = Annotated[
+    Path | None,
+    Option(
+        "--teach",
+        metavar="TRAJECTORY.yaml",
+        help="With --arm: a button appends the arm's pose to this file as a view. A new file takes the trajectory's settings.",
+        rich_help_panel=ARM,
+    ),
+]
 Box = Annotated[
     Path | None,
     Option(
@@ -51,6 +60,7 @@ def look(
     scene: Scene = "",
     arm: WithArm = False,
     go: Go = None,
+    teach: Teach = None,
     calibration: Box = None,
     take_over: TakeOver = False,
     ignore: Ignore = None,
@@ -79,7 +89,7 @@ def look(
     with ExitStack() as stack:
         opening = _opened(rig, session, scene, arm or go is not None, take_over, ignore or (), slow)
         camera, jog = stack.enter_context(opening)
-        outline = _outline(calibration, session, camera, jog)
+        outline, teaching = _outline(calibration, session, camera, jog), _teaching(teach, session, jog)
         if jog is not None and go is not None:
             jog.go(go)
         if once:
@@ -91,7 +101,9 @@ def look(
         from koala3d.datasets.page import open_page
 
         page = stack.enter_context(open_page(f"{session.name}, live", port))
-        live = LookPage(page, camera, part, burst=BURST, balance=balance, stored=stored, jog=jog, outline=outline)
+        live = LookPage(
+            page, camera, part, burst=BURST, balance=balance, stored=stored, jog=jog, outline=outline, teaching=teaching
+        )
         console.report({"url": page.url}, as_json=as_json, text=f"{page.url} shows the live picture; Ctrl-C ends it")
         page.wait()
         live.end()
@@ -130,6 +142,18 @@ def _outline(path: Path | None, session: Any, camera: Any, jog: Any) -> Any:
     if jog is None:
         raise UsageError("the object's box is drawn from where the arm is", where="--calibration", remedy="add --arm")
     return Outline.of(session, Calibration.load(path), camera.description())
+
+
+def _teaching(path: Path | None, session: Any, jog: Any) -> Any:
+    """The file that takes the arm's poses; None without one."""
+    from koala3d.capture.sessions.live.teach import Teaching
+    from koala3d.datasets.core.errors import UsageError
+
+    if path is None:
+        return None
+    if jog is None:
+        raise UsageError("views are taken from where the arm is", where="--teach", remedy="add --arm")
+    return Teaching(path, session, jog.obstacles)
 
 
 def _once(

@@ -36,7 +36,7 @@ def check(
     as_json: console.Json = False,
 ) -> None:
     """Verify a recording: hashes, counts, clocks, exposure, sharpness. Lists the views to retake; exit code 1 with findings."""
-    from koala3d.capture.recording import check
+    from koala3d.capture.recording import check, session_log
     from koala3d.datasets.recording import Recording
 
     opened = Recording.open(recording)
@@ -58,7 +58,8 @@ def check(
     again = check.to_take_again(findings)
     discarded = opened.discard(again) if discard else []
     good = all(finding.note for finding in findings)
-    lines = [finding.line for finding in findings]
+    logged = session_log.sessions(recording)
+    lines = [finding.line for finding in findings] + [one.line for one in logged]
     if good:
         lines.append(f"{recording}: {frames} views, nothing is wrong")
     if again:
@@ -67,6 +68,7 @@ def check(
         lines.append(removed if discard else "'capture check --discard' removes them, and 'capture run --resume' retakes them")
     found: dict[str, Any] = {"recording": str(recording), "frames": frames, "page": page, "covered_after": shares}
     found |= {"findings": [vars(finding) for finding in findings], "take_again": again, "discarded": discarded}
+    found |= {"sessions": [vars(one) for one in logged]}
     console.report(found, as_json=as_json, text="\n".join([*lines, *covered, *([str(page)] if page is not None else [])]))
     if not good:
         raise typer.Exit(1)
@@ -87,6 +89,8 @@ def replay(
     as_json: console.Json = False,
 ) -> None:
     """Repeat the joint path of a recording without the camera, and report the deviation of each frame's pose.
+
+    It is what the arm's own encoders see. What they do not see, 'capture repeatability' measures by pictures.
 
     The arm and its mount must be those of the recording. The path is planned around what the rig file says of its surroundings.
     """
@@ -119,5 +123,5 @@ def replay(
     content = {"recording": str(recording), **summary(deviations), "frames": [vars(one) for one in deviations]}
     if out is not None:
         files.write_json(out, {"format": "koala-replay", "version": 1, **content})
-    lines = [*(f"view {one.frame}: {one.line}" for one in deviations), f"worst: {content['worst']}"]
+    lines = [*(f"view {one.frame}: {one.line}" for one in deviations), f"worst: {content['worst']}, by the arm's own encoders"]
     console.report(content, as_json=as_json, text="\n".join(lines))

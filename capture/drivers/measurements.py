@@ -17,6 +17,7 @@ class RobotState:
     joint_speeds: NDArray[np.float64]  # (n,) measured [rad/s]
     robot_time_s: float  # the controller's time stamp [s]
     host_time_ns: int  # monotonic host clock on arrival [ns]
+    joint_temperatures: tuple[float, ...] | None = None  # [degrees Celsius]; None: not reported
 
 
 @dataclass(frozen=True)

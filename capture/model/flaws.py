@@ -1,6 +1,7 @@
-"""What real rigs do besides: black level, vignetting, uneven and hot pixels, unbalanced channels, flicker, noise of encoders.
+"""What real sensors, lamps and arms do besides: black level, vignetting, uneven and hot pixels, unbalanced channels, flicker,
+noise of encoders, drift.
 
-All but the last are off by default. `configs/rigs/sim_flawed.yaml` switches them on. The description and the seed are the truth.
+All but the noise of encoders are off by default. `configs/rigs/sim_flawed.yaml` switches them on. The description and the seed are the truth.
 """
 
 from dataclasses import dataclass
@@ -35,6 +36,10 @@ class Flaws(Schema):
         default=4e-6, ge=0, le=1e-3, description="standard deviation of the angles that the arm's encoders measure [rad]"
     )
     flicker: float = Field(default=0.0, ge=0, lt=1, description="amplitude of the lamps' flicker, relative to their light")
+    drift_mm: float = Field(default=0.0, ge=0, le=10, description="by how much warming up moves the flange in the end [mm]")
+    drift_minutes: float = Field(
+        default=20.0, gt=0, description="within which it covers 63 % of that, on the clock of the arm's controller [min]"
+    )
 
 
 @dataclass(frozen=True)

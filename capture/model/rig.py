@@ -13,7 +13,8 @@ from koala3d.capture.model.device import Device
 from koala3d.capture.model.flaws import Flaws
 from koala3d.capture.model.geometry import PoseDescription
 from koala3d.capture.model.solids import AnySolid, CylinderSolid, MeshSolid
-from koala3d.capture.model.turntable import LampDescription, TurntableDescription
+from koala3d.capture.model.turntable import LampDescription, LampOutput, TurntableDescription
+from koala3d.capture.model.viewpoints import LampName
 from koala3d.datasets import pose
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.core.schema import Schema, load_yaml, validate
@@ -154,6 +155,11 @@ class RigDescription(Schema):
     obstacles: list[AnySolid] = Field(default=[], description="what else stands around the arm")
     turntable: TurntableDescription | None = Field(default=None, description="what turns the object; null: the object stands")
     lights: list[LampDescription] = Field(default=[], description="the lamps; empty: nobody says where they stand")
+    lamps: dict[LampName, LampOutput] = Field(
+        default={},
+        description="lamps that are switched while a session runs, by name; one that is also in 'lights' stands where that says, "
+        "any other in the room",
+    )
     simulation: SimulationDescription | None = Field(default=None, description="only for a simulated rig; null: a real rig")
 
     @model_validator(mode="after")
@@ -231,6 +237,24 @@ class RigDescription(Schema):
         )
         mount, speed = self.flange_from_camera.matrix(), self.robot.max_tool_speed
         return Carrier(arm, mount, body, tuple(solids), cable, self.turntable, beside, fellows, speed)
+
+    def lights_at(self, trajectory_lights: list[str] | None, lamps: tuple[str, ...] | None) -> tuple[str, ...] | None:
+        """Names of the lamps that are on at a view: as a person has switched them, and `lamps` of those that are switched.
+
+        Raises UsageError as `lights_on` does.
+        """
+        by_hand = self.lights_on(trajectory_lights)
+        return by_hand if lamps is None else (*(name for name in by_hand or () if name not in self.lamps), *lamps)
+
+    def require_lamps(self, names: set[str], where: str) -> None:
+        """Raise UsageError unless the rig can switch these lamps, each by an output of its own."""
+        if missing := sorted(names - self.lamps.keys()):
+            why = f"the rig file switches {', '.join(self.lamps) or 'none'}"
+            remedy = "correct 'lamps' in the trajectory, or add the lamp to 'lamps' of the rig file"
+            raise UsageError(f"no lamp called '{missing[0]}' can be switched", where=where, why=why, remedy=remedy)
+        outputs = [lamp.output for lamp in self.lamps.values()]
+        if len(set(outputs)) < len(outputs):
+            raise UsageError("two lamps have the same output", where="lamps", why=str(outputs), remedy="correct the rig file")
 
     def lights_on(self, trajectory_lights: list[str] | None) -> tuple[str, ...] | None:
         """Names of the lamps that are on in a trajectory; None where the rig file names no lamps.

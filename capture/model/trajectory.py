@@ -126,7 +126,8 @@ class Trajectory(Schema):
     up: Literal["+z", "-z"] = Field(default="+z", description="axis of the base that points up; -z: the arm hangs")
     object: Box | None = Field(default=None, description="volume of the object, which stands at the centre of the bottom face")
     lights: list[str] | None = Field(
-        default=None, description="lamps of the rig file that are on, by name; null: all of them. A person switches them"
+        default=None,
+        description="lamps of the rig file's 'lights' that are on, by name; null: all of them. A person switches them",
     )
     target: NamedBoard | None = Field(
         default=None, description="calibration target: the name of a shipped board, a board file, or its keys; null: no target"
@@ -140,7 +141,7 @@ class Trajectory(Schema):
         for index, group in enumerate(self.views):
             if group.turntable is not None and (wrong := group.turntable.complaint(group.number)):
                 raise ValueError(f"views, group {index}: {wrong}")
-        count = self.number
+        count = sum(_taken(group) for group in self.views)
         if self.split is not None and self.split.train + self.split.test != count:
             raise ValueError(f"split has {self.split.train} + {self.split.test} views, but 'views' gives {count}")
         if self.split is not None and self.target is not None:
@@ -191,14 +192,26 @@ class Trajectory(Schema):
 
     @property
     def splits(self) -> list[str]:
-        """Split of each view in order: "train" or "test"; "calibration" for all views of a session with a target."""
-        count = self.number
+        """Split of each view in order: "train" or "test"; "calibration" for all views of a session with a target.
+
+        `split` counts a view under several sets of lamps once: under all of them it is for the same.
+        """
         if self.target is not None:
-            return ["calibration"] * count
-        if self.split is None:
-            return [group.use or "train" for group in self.views for _ in range(_taken(group))]
-        test = spread(count, self.split.test)
-        return ["test" if index in test else "train" for index in range(count)]
+            return ["calibration"] * self.number
+        stops = [group for group in self.views for _ in range(_taken(group))]
+        test = frozenset[int]() if self.split is None else spread(len(stops), self.split.test)
+        uses = [group.use or ("test" if index in test else "train") for index, group in enumerate(stops)]
+        return [use for use, group in zip(uses, stops, strict=True) for _ in group.lamps or [None]]
+
+    @property
+    def switched(self) -> set[str]:
+        """Names of the lamps that its views switch on."""
+        return {name for group in self.views for one in group.lamps or [] for name in one}
+
+    @property
+    def switches(self) -> bool:
+        """Whether lamps are switched between views."""
+        return any(group.lamps is not None for group in self.views)
 
     @property
     def turns(self) -> bool:
@@ -208,11 +221,11 @@ class Trajectory(Schema):
     @property
     def number(self) -> int:
         """Number of views."""
-        return sum(_taken(group) for group in self.views)
+        return sum(_taken(group) * len(group.lamps or [None]) for group in self.views)
 
     def viewpoints(self) -> list[Viewpoint]:
         """Every view in order, named "000", "001", ..."""
-        views = [view for group in self.views for view in self._turned(group)]
+        views = [view for group in self.views for view in group.under_lamps(self._turned(group))]
         digits = max(3, len(str(len(views) - 1)))
         return [
             replace(view, name=f"{index:0{digits}d}", split=split)
@@ -228,7 +241,7 @@ class Trajectory(Schema):
 
 
 def _taken(group: Views) -> int:
-    """How many views a group gives, at all angles of the turntable."""
+    """How many views a group gives, at all angles of the turntable, each counted once whatever lamps are on."""
     return group.number if group.turntable is None else len(group.turntable.taken(group.number))
 
 

@@ -77,6 +77,12 @@ def required(table: TurntableDescription | None, trajectory: str) -> TurntableDe
     return table
 
 
+class LampOutput(Schema):
+    """What switches a lamp."""
+
+    output: int = Field(ge=0, le=7, description="standard digital output of the arm's controller, to which its relay is wired")
+
+
 class LampDescription(Schema):
     """A lamp, and what it stands on."""
 

@@ -4,12 +4,12 @@ Each group knows the number of its views (`number`) and generates them in an ord
 `up` is 1 where the base's z axis points up, and -1 where it points down (a hanging arm).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field, StringConstraints, field_validator, model_validator
 
 from koala3d.capture.model.carrier import Carrier
 from koala3d.capture.model.geometry import Vector
@@ -19,6 +19,8 @@ from koala3d.datasets.core.schema import Schema
 from koala3d.datasets.kinematics import MAX_JOINTS
 
 Interval = tuple[float, float]
+LampName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_-]+$")]
+"""Of a switched lamp; scenes are called by it."""
 Angles = Annotated[list[float], Field(min_length=1, max_length=MAX_JOINTS)]
 
 
@@ -30,6 +32,7 @@ class Viewpoint:
     rolls: tuple[float, ...] = (0.0,)  # equally good turns about the optical axis [rad]; the planner chooses one
     joints: NDArray[np.float64] | None = None  # (n,) angles [rad] of a view that is given by these
     turntable: float | None = None  # angle of the turntable [rad]; None in a trajectory without one
+    lamps: tuple[str, ...] | None = None  # switched lamps that are on; None: they are left as they are
     name: str = ""  # names sort in the order of the trajectory
     split: str = ""  # "train", "test" or "calibration"
 
@@ -48,9 +51,29 @@ def spread(count: int, chosen: int) -> frozenset[int]:
 
 class _Group(Schema):
     turntable: Turning | None = Field(default=None, description="angles of the turntable; null: zero, or there is none")
+    lamps: list[list[LampName]] | None = Field(
+        default=None,
+        min_length=1,
+        description="sets of the rig's switched lamps, under each of which each view is taken while the arm stands still; "
+        "an empty set: all are off; null: they are left as they are",
+    )
     use: Literal["train", "test"] | None = Field(
         default=None, description="what all views of the group are for; null: train, or what 'split' of the trajectory says"
     )
+
+    @field_validator("lamps")
+    @classmethod
+    def _different(cls, lamps: list[list[str]] | None) -> list[list[str]] | None:
+        for one in lamps or []:
+            if len(set(one)) < len(one):
+                raise ValueError(f"one lamp is listed twice: {', '.join(one)}")
+        if lamps is not None and len({frozenset(one) for one in lamps}) < len(lamps):
+            raise ValueError("two sets hold the same lamps")
+        return lamps
+
+    def under_lamps(self, views: list[Viewpoint]) -> list[Viewpoint]:
+        """The views, each under each set of lamps in turn."""
+        return views if self.lamps is None else [replace(view, lamps=tuple(one)) for view in views for one in self.lamps]
 
 
 class _Rolled(_Group):

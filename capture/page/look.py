@@ -18,6 +18,7 @@ from koala3d.capture.sessions.live.analysis import Look, Part
 from koala3d.capture.sessions.live.balance import stored_response, white_balance, words
 from koala3d.capture.sessions.live.jog import Jog
 from koala3d.capture.sessions.live.outline import Outline
+from koala3d.capture.sessions.live.teach import Teaching
 from koala3d.datasets.core.errors import KoalaError
 from koala3d.datasets.page import Page
 
@@ -46,6 +47,7 @@ class LookPage:
         stored: str,
         jog: Jog | None = None,
         outline: Outline | None = None,
+        teaching: Teaching | None = None,
     ) -> None:
         self.page, self.camera, self.part = page, camera, part
         self.jog, self.outline = jog, outline
@@ -67,7 +69,7 @@ class LookPage:
             gui.add_button("store the region's white balance").on_click(lambda event: self._later(self._balance))
         self._stored = gui.add_markdown("" if balance is not None else "*--balance FLAT.npz stores a white balance*")
         if jog is not None:
-            JogPanel(gui, jog, self._later)
+            JogPanel(gui, jog, self._later, teaching)
         self.newest: Look | None = None
         page.in_background(self._follow)
 

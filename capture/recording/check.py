@@ -61,15 +61,16 @@ def check(path: Path, *, done: Callable[[int, int], None] = lambda count, total:
     trajectory = recorded_trajectory(recording)
     findings = [*_counts(recording, trajectory), *_times(recording.frames), *_settings(recording, trajectory)]
     findings += _motion(recording.frames)
-    sharp: dict[str, float] = {}
+    sharp: dict[tuple[str, ...] | None, dict[str, float]] = {}  # of views under the same lamps
     for count, frame in enumerate(recording.frames, 1):
         pixels, found = _picture(recording, frame)
         findings += found + _exposures(recording, frame) + _depth(recording, frame)
         if pixels is not None:
             findings += _exposure(frame.name, pixels)
-            sharp[frame.name] = sharpness(pixels)
+            sharp.setdefault(frame.lights, {})[frame.name] = sharpness(pixels)
         done(count, len(recording.frames))
-    findings += _blur(sharp)
+    for alike in sharp.values():
+        findings += _blur(alike)
     return sorted(findings, key=lambda finding: finding.frame)
 
 

@@ -42,13 +42,16 @@ class GrowingRecording:
         out: the recording; a new or empty folder unless it is resumed.
         command: what makes such recordings, for messages.
 
-    Raises UsageError: the rig has several cameras.
+    Raises UsageError: the rig has several cameras, or the trajectory switches lamps.
     """
 
     def __init__(self, trajectory: Trajectory, rig: Rig, out: Path, command: str) -> None:
         if rig.cameras:
             why, remedy = f"the rig has {len(rig.cameras)}", "use 'capture run TRAJECTORY', or a rig file of one of them"
             raise UsageError("chooses its views for one camera", where=command, why=why, remedy=remedy)
+        if trajectory.switches:
+            remedy = "leave 'lamps' out of its views"
+            raise UsageError("a session that chooses its views switches no lamps", where=trajectory.name, remedy=remedy)
         self.trajectory, self.rig, self.out, self.command = trajectory, rig, Path(out), command
         self.views: list[GrownView] = []
         self.obstacles = Obstacles.of(trajectory, rig.carrier)

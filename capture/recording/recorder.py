@@ -13,11 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koala3d.capture.drivers.errors import CaptureError, ConnectionLapse, MotionError, NotSettled, naming
+from koala3d.capture.drivers.events import event
 from koala3d.capture.drivers.measurements import Image, Pixels, RobotState
 from koala3d.capture.model.trajectory import CameraSettings, Motion, Trajectory
 from koala3d.capture.planning import Obstacles, PlannedView, connect, plan
 from koala3d.capture.recording.incidents import Incidents
 from koala3d.capture.recording.manifest import manifest_of, require_same_session
+from koala3d.capture.recording.session_log import wall_time
 from koala3d.capture.recording.writer import Advance, TakenView, Writer
 from koala3d.capture.rig.rig import Rig
 from koala3d.datasets.core import arrays, files, locks
@@ -84,6 +86,7 @@ def _record(
 ) -> Recording:
     obstacles = Obstacles.of(trajectory, rig.carrier)
     taken = _taken(recordings)
+    event("recording", views=len(planned), taken=len(taken))
     numbers = {view.name: number for number, view in enumerate(trajectory.viewpoints())}
     visits = _Visits(trajectory, rig, recordings, obstacles, Incidents(recordings, rig))
     previous: str | None = None  # the view at which the arm stands
@@ -93,6 +96,7 @@ def _record(
             if name in taken:
                 advance(name)
                 continue
+            event("view", name=name)
             follows = index > 0 and previous == planned[index - 1].viewpoint.name
             stays = follows and np.array_equal(view.joints, planned[index - 1].joints)
             shown = visits.taken(view, numbers[name], [] if stays else view.path if follows else None)
@@ -157,11 +161,21 @@ def _turn(rig: Rig, view: PlannedView) -> None:
     rig.turntable.turn_to(view.viewpoint.turntable)
 
 
+def _light(rig: Rig, view: PlannedView) -> None:
+    """Switch on the lamps of a view, and the others off, where it states them."""
+    if view.viewpoint.lamps is None:
+        return
+    if rig.lamps is None:  # a rig without them is refused before
+        raise UsageError("the rig switches no lamps", where=f"view {view.viewpoint.name}")
+    rig.lamps.switch(view.viewpoint.lamps)
+
+
 def _expose(
     recordings: list[Recording], rig: Rig, index: int, view: PlannedView, arrived_ns: int, trajectory: Trajectory
 ) -> TakenView:
     """Take the pictures of one view with every camera, with the pose before and after them all."""
     name, split, motion = view.viewpoint.name, view.viewpoint.split, trajectory.motion
+    _light(rig, view)
     for one in rig.each.values():
         if one.ground_truth is not None:
             one.ground_truth.prepare(index)
@@ -198,7 +212,9 @@ def _expose(
                 robot_time_after_s=after.robot_time_s,
                 turntable_angle=angle,
                 turntable_angle_after=angle_after,
-                lights=rig.description.lights_on(trajectory.lights),
+                wall_time=wall_time(taken[0].host_time_ns),
+                joint_temperatures=state.joint_temperatures,
+                lights=rig.description.lights_at(trajectory.lights, view.viewpoint.lamps),
             ),
             taken,
         )

@@ -36,7 +36,7 @@ class Deviation:
     joints_deg: float  # largest difference of the measured joint angles
     translation_mm: float  # of the flange position that the controller reports
     rotation_deg: float  # of the flange orientation that the controller reports
-    true_mm: float | None = None  # of the true flange position, in a simulation; only this shows the repeatability of the arm
+    true_mm: float | None = None  # of the true flange position, in a simulation; what encoders do not see included
 
     @property
     def line(self) -> str:

@@ -7,11 +7,12 @@ from dataclasses import replace
 from types import TracebackType
 from typing import Self
 
+from koala3d.capture.drivers.events import event
 from koala3d.capture.drivers.measurements import Image
 from koala3d.datasets.core import files
 from koala3d.datasets.imaging import images
-from koala3d.datasets.radiometry.stored import RAW_FOLDER, packed
-from koala3d.datasets.recording import DEPTH, DepthPicture, Exposure, Frame, Recording
+from koala3d.datasets.radiometry.stored import RAW_FOLDER, DepthPicture, Exposure, packed
+from koala3d.datasets.recording import DEPTH, Frame, Recording
 
 Advance = Callable[[str], None]
 TakenView = list[tuple[Frame, list[Image]]]
@@ -59,8 +60,15 @@ class Writer:
             try:
                 for recording, (frame, taken) in zip(self.recordings, stop, strict=True):
                     _write(recording, frame, taken)
+                event(
+                    "picture",
+                    view=stop[0][0].name,
+                    wall_time=stop[0][0].wall_time,
+                    sha256=[one.frames[-1].sha256 for one in self.recordings],
+                )
                 self.advance(stop[0][0].name)
             except Exception as error:  # raised in the thread that calls `put`
+                event("fault", kind=type(error).__name__, text=f"view {stop[0][0].name} cannot be written: {error}")
                 self._failure = error
 
 

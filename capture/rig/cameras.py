@@ -81,7 +81,10 @@ def camera_in(
     from koala3d.capture.sim.truth import RigTruth, seed_of_camera
 
     truth, flaws = RigTruth.of(rig.carrier(), trajectory, seed_of_camera(seed, number)), _flaws_of(rig)
-    made = SimulatedCamera(trajectory, scene, truth, controller, seed, flaws, device=rig.camera, table=turned, number=number)
+    lamps = tuple(lamp.output for lamp in rig.lamps.values()) if trajectory.switches else ()
+    made = SimulatedCamera(
+        trajectory, scene, truth, controller, seed, flaws, device=rig.camera, table=turned, number=number, lamps=lamps
+    )
     return made, made
 
 

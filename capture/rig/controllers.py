@@ -41,6 +41,8 @@ def controller_of(
         flaws = Flaws() if description.simulation is None else description.simulation.flaws
         noise_rad, model = flaws.encoder_noise_rad, description.robot.model
         with SimulatedController.as_built(**options, model=model, noise_rad=noise_rad) as started:
+            if flaws.drift_mm:
+                started.ask("warm_up", drift_mm=flaws.drift_mm, minutes=flaws.drift_minutes)
             yield started
     elif started_here:
         from koala3d.capture.sim.kinematic_arm import KinematicArm
@@ -94,7 +96,7 @@ def write_simulated_rig(
         "host": controller.host,
         **rig.robot.model_dump(mode="json", include={"model", "cable", "max_tool_speed"}, exclude_defaults=True),
     }
-    kept = {"camera", "flange_from_camera", "cameras", "beside", "obstacles", "turntable", "lights"}
+    kept = {"camera", "flange_from_camera", "cameras", "beside", "obstacles", "turntable", "lights", "lamps"}
     rest = rig.model_dump(mode="json", include=kept, exclude_defaults=True)
     content = {"robot": own, **rest, "simulation": simulation}
     files.write_text(path, yaml.safe_dump(content, sort_keys=False))

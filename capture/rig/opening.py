@@ -14,6 +14,7 @@ from koala3d.capture.model.turntable import TurntableDescription, required
 from koala3d.capture.rig.arms import Examination, arm_of, require_payload, unexamined
 from koala3d.capture.rig.cameras import camera_in
 from koala3d.capture.rig.controllers import controller_of, device_lock, host_of
+from koala3d.capture.rig.lamps import SwitchedLamps
 from koala3d.capture.rig.links import reported_links
 from koala3d.capture.rig.moves import Moves
 from koala3d.capture.rig.naming import describe
@@ -22,6 +23,7 @@ from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.incidents import IGNORED
 
 if TYPE_CHECKING:
+    from koala3d.capture.rig.controllers import Simulation
     from koala3d.capture.sim.turntable import SimulatedTurntable
 
 
@@ -50,12 +52,13 @@ def open_rig(
         radiometry: measured response of the camera, in place of the one that the rig file names.
         moves: how the arm moves; None: with the speeds of the trajectory.
 
-    Raises UsageError: `radiometry` for several cameras, views that turn a turntable which the rig lacks, or a real arm whose
-    payload nobody states. KoalaError names the camera that could not be opened.
+    Raises UsageError: `radiometry` for several cameras, views that need a turntable or lamps which the rig lacks, or a real arm
+    whose payload nobody states. KoalaError names the camera that could not be opened.
     """
     description = _with_response(describe(name), radiometry)
     table = required(description.turntable, trajectory.name) if trajectory.turns else None
     hangs = trajectory.upwards < 0
+    description.require_lamps(trajectory.switched, trajectory.name)
     with controller_of(name, description, hangs=hangs, seed=seed, time_scale=time_scale) as controller:
         require_payload(description, name, controller)
         ignored = dict(examine(description, host := host_of(description, controller), controller is not None))
@@ -68,20 +71,19 @@ def open_rig(
             opened = {}
             for number, (camera_name, one) in enumerate(description.each.items()):
                 with naming(camera_name):
-                    stack.enter_context(device_lock(f"camera-{one.camera.model}-{one.camera.serial}", "camera", controller))
+                    stack.enter_context(_camera_lock(one, controller))
                     camera, truth = camera_in(one, trajectory, controller, scene, seed, turned, number)
                     opened[camera_name] = stack.enter_context(camera), one, truth
             stack.enter_context(device_lock(f"arm-{description.robot.host}", "arm", controller))
             robot = stack.enter_context(arm_of(description, trajectory, controller, take_over))
             links, moves = reported_links(description, host), moves or Moves()
+            lamps = stack.enter_context(_lamps(description, controller) if trajectory.switches else nullcontext())
             driven = table if turned is None else turned.reached
             turntable = stack.enter_context(_turntable(driven))  # last, since it may turn to find its zero
             extra: dict[str, Any] = {} if controller is None else {"scene": scene, "seed": seed}
             extra |= {IGNORED: ignored} if ignored else {}
-            rigs = {
-                camera_name: Rig(robot, camera, one, name, truth, extra, turntable, links, moves)
-                for camera_name, (camera, one, truth) in opened.items()
-            }
+            parts: dict[str, Any] = {"extra": extra, "turntable": turntable, "links": links, "moves": moves, "lamps": lamps}
+            rigs = {key: Rig(robot, camera, one, name, truth, **parts) for key, (camera, one, truth) in opened.items()}
             first = next(iter(rigs.values()))
             yield replace(first, cameras=rigs) if description.cameras else first
 
@@ -95,6 +97,19 @@ def _with_response(description: RigDescription, radiometry: Path | None) -> RigD
         raise UsageError("one response for several cameras", where=radiometry, remedy=remedy)
     camera = description.camera.model_copy(update={"radiometry": str(radiometry)})
     return description.model_copy(update={"camera": camera})
+
+
+def _camera_lock(one: RigDescription, controller: "Simulation | None") -> AbstractContextManager[None]:
+    return device_lock(f"camera-{one.camera.model}-{one.camera.serial}", "camera", controller)
+
+
+def _lamps(description: RigDescription, controller: "Simulation | None") -> SwitchedLamps:
+    """The switched lamps, not connected. Raises UsageError: the arm has no controller with digital outputs."""
+    host = host_of(description, controller)
+    if description.arm.family != "ur":
+        remedy = "leave 'lamps' out of the trajectory, or switch them by hand and state 'lights'"
+        raise UsageError(f"no controller of the {description.arm.name} switches lamps", where="lamps", remedy=remedy)
+    return SwitchedLamps(host, {name: lamp.output for name, lamp in description.lamps.items()})
 
 
 def _turntable(table: TurntableDescription | None) -> AbstractContextManager[Turntable | None]:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from koala3d.capture.drivers.protocols import Camera, GroundTruth, Robot, Turntable
 from koala3d.capture.model.carrier import Carrier
 from koala3d.capture.model.rig import RigDescription
+from koala3d.capture.rig.lamps import SwitchedLamps
 from koala3d.capture.rig.moves import Moves
 from koala3d.datasets.kinematics import Links
 
@@ -26,6 +27,7 @@ class Rig:
     turntable: Turntable | None = None  # connected where the trajectory turns the object
     links: Links | None = None  # of this arm as it was built; None: they are not known
     moves: Moves = field(default_factory=Moves)  # what moves the arm
+    lamps: SwitchedLamps | None = None  # connected where the trajectory switches lamps
     cameras: "dict[str, Rig]" = field(default_factory=dict)  # the rig as each camera has it, by name; empty: there is one camera
 
     @property

@@ -1,7 +1,7 @@
 """How a command that records a session opens its rig: examined first, and closed at the end."""
 
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,6 +12,10 @@ if TYPE_CHECKING:
     from koala3d.capture.model.trajectory import Trajectory
     from koala3d.capture.rig.moves import Moves, NextMove
     from koala3d.capture.rig.rig import Rig
+
+
+CAMERA = ("driver", "model", "serial")
+"""What the log says of a camera; the manifest has the rest."""
 
 
 @dataclass(frozen=True)
@@ -35,13 +39,16 @@ class SessionOptions:
 
         return Moves(self.slow, self.ask, lambda words: console.hint(f"resuming; {words}" if self.resume else words))
 
-    def opened(self, trajectory: "Trajectory", out: Path) -> "AbstractContextManager[Rig]":
-        """The rig of a session that writes to `out`. Entering raises CaptureError where it is not ready."""
+    @contextmanager
+    def opened(self, trajectory: "Trajectory", out: Path) -> "Iterator[Rig]":
+        """The rig of a session that writes to `out` and keeps its log. Entering raises CaptureError where it is not ready."""
         from koala3d.capture.doctor.examine import examination
+        from koala3d.capture.drivers.events import event
+        from koala3d.capture.recording import provenance, session_log
         from koala3d.capture.rig.opening import open_rig
 
         encoded = trajectory.camera.pixel_format == "rgb8"
-        return open_rig(
+        opening = open_rig(
             self.rig,
             trajectory,
             scene=self.scene,
@@ -52,3 +59,7 @@ class SessionOptions:
             radiometry=self.radiometry,
             moves=self.moves(),
         )
+        with session_log.kept(out, **provenance.facts(), resume=self.resume), opening as rig:
+            cameras = [{key: one.camera.description().get(key) for key in CAMERA} for one in rig.each.values()]
+            event("rig", name=rig.name, robot=rig.robot.description(), cameras=cameras)
+            yield rig

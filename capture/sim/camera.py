@@ -47,6 +47,10 @@ class TrueArm(Protocol):
         """(count, 4, 4) true flange poses during an exposure that starts now [m]."""
         ...
 
+    def signals(self) -> dict[str, Any]:
+        """The electrical outputs of its controller, by the side channel's `signals`; asked only where they switch lamps."""
+        ...
+
 
 class StillArm:
     """An arm that stands still at one flange pose."""
@@ -57,6 +61,10 @@ class StillArm:
     def exposed(self, exposure_s: float, count: int) -> NDArray[np.float64]:
         """See `TrueArm`."""
         return np.stack([self.base_from_flange] * count)
+
+    def signals(self) -> dict[str, Any]:
+        """See `TrueArm`; nothing is on."""
+        return {"digital": 0}
 
 
 def blur_moments(camera: Camera, base_from_camera: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -90,6 +98,7 @@ class SimulatedCamera:
         device: the camera of the rig.
         table: what turns the object before still lamps; None: it stands.
         number: which of the rig's cameras it is, from 0; each has flaws and noise of its own.
+        lamps: digital outputs of the arm's controller that switch the lamps of the laboratory; empty: it is lit evenly.
     """
 
     def __init__(
@@ -104,7 +113,9 @@ class SimulatedCamera:
         device: Device | None = None,
         table: SimulatedTurntable | None = None,
         number: int = 0,
+        lamps: tuple[int, ...] = (),
     ) -> None:
+        self.lamps = lamps
         self.view = make_view(scene, trajectory, seed, truth.beside.flange_from_board if truth.beside is not None else None)
         self.trajectory, self.truth, self.seed = trajectory, truth, seed_of_camera(seed, number)
         self._arm, self._frame, self._table = arm, 0, table
@@ -163,11 +174,21 @@ class SimulatedCamera:
 
     def _light(self, poses: NDArray[np.float64]) -> NDArray[np.float32]:
         """Light on the pixels; that of the previous picture where nothing has moved since, as in a bracket of exposures."""
-        seen = (self._seed, poses.tobytes() + self._base_from_object.tobytes())
+        burning = self._burning()
+        seen = (self._seed, poses.tobytes() + self._base_from_object.tobytes() + bytes(burning))
         if self._seen is None or self._seen[0] != seen:
+            if self.lamps:
+                self.view.light(burning)
             self.view.turn(self._base_from_object)
             self._seen = (seen, self.view.radiance(self.lens, poses, self._seed))
         return self._seen[1]
+
+    def _burning(self) -> tuple[bool, ...]:
+        """Which of the lamps are on: what the controller's outputs are, whoever set them."""
+        if not self.lamps:
+            return ()
+        bits = int(self._arm.signals()["digital"])
+        return tuple(bool(bits >> output & 1) for output in self.lamps)
 
     def _depth(self) -> NDArray[np.float32] | None:
         """(height, width) true depth [m] where the camera measures it; None without a depth sensor."""

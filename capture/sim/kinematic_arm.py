@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koala3d.capture.drivers.errors import MotionError, NotSettled, RigConnectionError, StopLatched
+from koala3d.capture.drivers.events import event
 from koala3d.capture.drivers.measurements import RobotState
 from koala3d.capture.drivers.safety import Limits
 from koala3d.capture.drivers.ur.settling import Settling, Window
@@ -91,6 +92,7 @@ class KinematicArm:
         if self._stopped.is_set():
             why, remedy = "nothing moves after a stop until it is cleared", "clear_stop()"
             raise StopLatched("the arm was stopped on request", where=self.model.name, why=why, remedy=remedy)
+        event("move", joints_deg=np.degrees(target).round(4).tolist(), speed=speed, acceleration=acceleration)
         with self._lock:
             self._arm.move_to(target, speed, acceleration, self.now)
         try:
@@ -106,8 +108,16 @@ class KinematicArm:
     def stop(self) -> None:
         """See `Robot`."""
         self._stopped.set()
+        event("stop", host=self.model.name)
         with self._lock:
             self._arm.stop(DECELERATION, self.now)
+
+    def freedrive(self, on: bool) -> None:
+        """See `capture.drivers.ur.freedrive`."""
+        self._require_entered()
+        with self._lock:
+            self._arm.freedrive = on
+        event("freedrive", on=on)
 
     def clear_stop(self) -> None:
         """See `Robot`."""
@@ -126,6 +136,10 @@ class KinematicArm:
         with self._lock:
             moments = self.now + (np.arange(count) + 0.5) / max(count, 1) * exposure_s
             return np.stack([self._arm.true_base_from_flange(moment) for moment in moments])
+
+    def signals(self) -> dict[str, Any]:
+        """Electrical outputs: it has no controller, and nothing is on."""
+        return {"digital": 0}
 
     def _require_entered(self) -> None:
         if not self._entered:

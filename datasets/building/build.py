@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koala3d.datasets.building.develop import developing
-from koala3d.datasets.building.lamps import light_of
+from koala3d.datasets.building.lamps import lamp_sets, light_of
 from koala3d.datasets.calibration import Calibration
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core import files
@@ -49,10 +49,12 @@ def build(
     radiometry: Path | None = None,
     white: float | None = None,
     done: Step = ignore,
+    lamps: str | None = None,
 ) -> Scene:
     """Write the Koala scene of a recording to `out`, all or nothing. `done` is called after each frame.
 
     Args:
+        lamps: of a recording under several sets of lamps, the one whose views the scene has: a key of `lamp_sets`.
         sizes: for each N, `images_N` holds the images at 1/N of their size.
         radiometry: file of 'capture flat' to use in place of the recording's own.
         white: of brackets, the light that is read as white, 1 for that of the longest exposure; None: so that 0.1 % of the
@@ -65,7 +67,7 @@ def build(
         DatasetError: an image is missing, damaged, altered or of another size than the calibrated camera's.
     """
     files.refuse_existing(out)
-    recording = Recording.open(recording_path)
+    recording = _under(Recording.open(recording_path), lamps)
     calibration = Calibration.load(calibration_path)
     if calibration.flange_from_camera is None:
         remedy = "run 'calib handeye' on the target's recording"
@@ -88,6 +90,29 @@ def build(
         scene = _scene(recording, calibration, calibration_path, tuple(views), tuple(notes), Path(out).resolve().name)
         koala.save(scene, out, extra=extra_truth(recording.path) | measured_depth(recording, frames), sizes=sizes)
     return koala.load(Path(out)) if developed.is_needed else scene
+
+
+def build_under_lamps(recording_path: Path, calibration_path: Path, out: Path, **options: Any) -> dict[str, Scene]:
+    """The scene of a recording, by the empty name; of one under several sets of lamps one for each, in a folder with its name.
+
+    Arguments and errors as in `build`; nothing that holds something is written to.
+    """
+    files.refuse_existing(out)
+    sets = lamp_sets(Recording.open(recording_path))
+    if len(sets) < 2:
+        return {"": build(recording_path, calibration_path, out, **options)}
+    return {name: build(recording_path, calibration_path, Path(out) / name, lamps=name, **options) for name in sets}
+
+
+def _under(recording: Recording, lamps: str | None) -> Recording:
+    """The recording as if it had only the frames under one set of lamps. Raises UsageError: it has several, and none is named."""
+    sets = lamp_sets(recording)
+    if lamps is None and len(sets) < 2:
+        return recording
+    if lamps not in sets:
+        why, remedy = f"it was lit by {', '.join(sets)}", "build a scene for each of them"
+        raise UsageError("a scene has views under one set of lamps", where=recording.path, why=why, remedy=remedy)
+    return replace(recording, frames=[frame for frame in recording.frames if frame.lights == sets[lamps]])
 
 
 def _scene(

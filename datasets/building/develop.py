@@ -16,7 +16,8 @@ from koala3d.datasets.radiometry import stored
 from koala3d.datasets.radiometry.merge import SATURATED, merge
 from koala3d.datasets.radiometry.mosaic import demosaiced, pattern_of
 from koala3d.datasets.radiometry.response import Response
-from koala3d.datasets.recording import Exposure, Frame, Recording
+from koala3d.datasets.radiometry.stored import Exposure
+from koala3d.datasets.recording import Frame, Recording
 from koala3d.datasets.scene import View
 
 BEYOND_WHITE = 0.001

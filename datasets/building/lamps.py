@@ -15,7 +15,7 @@ import numpy as np
 
 from koala3d.datasets.core.errors import DatasetError
 from koala3d.datasets.recording import MANIFEST, Recording
-from koala3d.datasets.scene import LightFrameName, View
+from koala3d.datasets.scene import SPLITS, LightFrameName, View
 from koala3d.datasets.turntable import Axis
 
 STANDS: dict[str, tuple[LightFrameName, LightFrameName]] = {
@@ -26,6 +26,16 @@ STANDS: dict[str, tuple[LightFrameName, LightFrameName]] = {
 """Light frame by where a lamp stands, for an object that stands and for one that turns."""
 ALIKE_DEG = 5.0
 """Azimuths of the cameras in the room may differ by so much: the frame "turntable" takes them to be one."""
+
+
+DARK = "dark"
+"""Name of the scene of the views for which every lamp was off."""
+
+
+def lamp_sets(recording: Recording) -> dict[str, tuple[str, ...] | None]:
+    """The sets of lamps under which a recording's views of an object were taken, each by the name that its scene gets."""
+    sets = dict.fromkeys(frame.lights for frame in recording.frames if frame.split in SPLITS)
+    return {DARK if not lights else "+".join(lights): lights for lights in sets}
 
 
 @dataclass(frozen=True)
@@ -71,11 +81,13 @@ def light_of(recording: Recording, views: tuple[View, ...], axis: Axis | None) -
 
 def _stands(recording: Recording) -> set[str] | None:
     """Where the lamps that were on stand; None where the rig file names no lamps or a frame does not say which were on."""
-    lamps = recording.part("rig").get("lights")
+    rig = recording.part("rig")
+    lamps, switched = rig.get("lights") or [], rig.get("lamps")
     names = [frame.lights for frame in recording.frames]
-    if not lamps or None in names:
+    known = dict.fromkeys(switched, "room") if isinstance(switched, dict) else {}
+    known |= {one["name"]: one["stands"] for one in lamps if _is_lamp(one)}
+    if not known or None in names:
         return None
-    known = {one["name"]: one["stands"] for one in lamps if _is_lamp(one)}
     on = {name for some in names for name in some or ()}
     if not on <= known.keys():
         why = f"{', '.join(sorted(on - known.keys()))}; the rig file has {', '.join(known) or 'none'}"

@@ -1,7 +1,8 @@
 """How values of a sensor lie in files: raw values of 12 bits fill the 16 of a PNG, developed ones are sRGB."""
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,46 @@ from koala3d.datasets.imaging import images
 RAW_BITS = 12
 RAW_FOLDER = "raw"
 """Folder of a recording that holds raw pictures; what lies elsewhere is developed."""
+LARGEST = 2**64
+"""Limit of every number in a frame; clocks and counters have at most 64 bits."""
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """One picture of a frame as the sensor read it."""
+
+    file: str
+    """Path relative to the recording: below `raw/` raw values, elsewhere developed ones."""
+    exposure_us: float
+    """Exposure time as read back from the camera [us]."""
+    sha256: str
+    """Of the file."""
+
+    @classmethod
+    def from_json(cls, content: Any) -> Self:
+        """Exposure from its dictionary; raises ValueError, KeyError or TypeError where it is not valid."""
+        found = cls(content["file"], float(content["exposure_us"]), content["sha256"])
+        if not (isinstance(found.file, str) and isinstance(found.sha256, str) and 0 < found.exposure_us < LARGEST):
+            raise ValueError(f"exposure is {content!r:.80}")
+        return found
+
+
+@dataclass(frozen=True)
+class DepthPicture:
+    """Depth that a sensor measured beside a picture."""
+
+    file: str
+    """Path relative to the recording."""
+    sha256: str
+    """Of the file."""
+
+    @classmethod
+    def from_json(cls, content: Any) -> Self:
+        """From its dictionary; raises ValueError, KeyError or TypeError where it is not valid."""
+        found = cls(content["file"], content["sha256"])
+        if not (isinstance(found.file, str) and isinstance(found.sha256, str)):
+            raise ValueError(f"depth is {content!r:.80}")
+        return found
 
 
 def packed(raw: NDArray[np.uint16]) -> NDArray[np.uint16]:

@@ -124,3 +124,34 @@ def test_frames_of_another_session_are_never_cut_off(recording: Recording) -> No
     with pytest.raises(DatasetError, match=r"another process records here \(it holds more than the 3 frames"):
         early.append(frame(3))
     assert [f.name for f in Recording.open(recording.path).frames] == [f"{index:03d}" for index in range(8)]
+
+
+def test_the_time_of_day_and_temperatures_are_kept_and_older_frames_have_none():
+    plain = {
+        "index": 0,
+        "name": "000",
+        "split": "train",
+        "image": "images/000.png",
+        "base_from_flange": np.eye(4).tolist(),
+        "joints": [0.0] * 6,
+        "robot_time_s": 1.0,
+        "host_time_ns": 2,
+        "device_ticks": 3,
+        "exposure_us": 1e4,
+        "settle_s": 0.3,
+        "sha256": "",
+    }
+    older = Frame.from_json(plain, where="a test")
+    assert older.wall_time is None and older.joint_temperatures is None
+    told = {"wall_time": "2026-11-28T02:38:30.123456Z", "joint_temperatures": [25.0, 26.5, 27.0, 25.0, 25.0, 25.0]}
+    newer = Frame.from_json({**plain, **told}, where="a test")
+    assert newer.wall_time == told["wall_time"] and newer.joint_temperatures == tuple(told["joint_temperatures"])
+    assert Frame.from_json(json.loads(json.dumps(newer.to_json())), where="a test").to_json() == newer.to_json()
+    for wrong in (
+        {"wall_time": "yesterday"},
+        {"wall_time": 5},
+        {"joint_temperatures": ["warm"]},
+        {"joint_temperatures": [1e300]},
+    ):
+        with pytest.raises(DatasetError, match="frame record is not complete"):
+            Frame.from_json({**plain, **wrong}, where="a test")

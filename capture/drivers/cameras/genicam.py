@@ -15,6 +15,7 @@ from koala3d.capture.drivers.cameras.nodes import Limits, Nodes, first, put, put
 from koala3d.capture.drivers.cameras.pixels import choose_format, colours
 from koala3d.capture.drivers.cameras.start_state import load_default, set_colour_space, set_plain
 from koala3d.capture.drivers.errors import CaptureError, RigConnectionError
+from koala3d.capture.drivers.events import event
 from koala3d.capture.drivers.measurements import Image, Pixels
 from koala3d.capture.model.device import Device
 from koala3d.capture.model.trajectory import CameraSettings
@@ -92,6 +93,7 @@ class GenicamCamera(CameraDriver):
             why = delivered if isinstance(delivered, str) else self._foreign(delivered)
             if not why and isinstance(delivered, Delivery):
                 return self._image(delivered)
+            event("retry", camera=self.name, why=why)
         remedy = "check cable and bandwidth, then resume with --resume"
         raise CaptureError(f"camera gave {TRIES} damaged images in a row", where=self.name, why=why, remedy=remedy)
 

@@ -2,8 +2,8 @@
 
 The vendor's client can hang, hold the interpreter or crash when a connection breaks; the parent then kills this process. The two
 exchange JSON lines over the socket FD. This one sends {"ready": ...} or {"failed": ...}, then {"state": ...} for every new sample
-and {"accepted": number} or {"refused": number} for every motion. It receives {"do": "move" | "stop" | "watch"}. It ends with the
-socket.
+and {"accepted": number} or {"refused": number} for every motion. It receives {"do": "move" | "stop" | "watch" | "freedrive"}. It
+ends with the socket.
 """
 
 import contextlib
@@ -116,6 +116,8 @@ def _obey(client: Client, request: dict[str, Any]) -> dict[str, Any] | None:
     if request["do"] == "stop":
         client.stop(request["deceleration"])
         return {"stopping": request["number"]}
+    if request["do"] == "freedrive":
+        return {"freed" if client.freedrive(request["on"]) else "refused": request["number"]}
     before = client.move(request["joints"], request["speed"], request["acceleration"])
     return {"refused": request["number"]} if before is None else {"accepted": request["number"], "operation_before": before}
 

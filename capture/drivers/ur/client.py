@@ -47,6 +47,7 @@ class State(TypedDict):
     joints: list[float]
     joint_speeds: list[float]
     tcp_pose: list[float]
+    joint_temperatures: list[float]  # [degrees Celsius]
     speed_fraction: float
     safety_bits: int
     connected: bool
@@ -70,7 +71,11 @@ class Client(Protocol):
         ...
 
     def stop(self, deceleration: float) -> None:
-        """Bring the arm to rest [rad/s^2]; returns at once."""
+        """Bring the arm to rest [rad/s^2], and hold it; returns at once."""
+        ...
+
+    def freedrive(self, on: bool) -> bool:
+        """Let a person move the arm by hand, or hold it; whether the controller did so."""
         ...
 
     def kick(self) -> None:

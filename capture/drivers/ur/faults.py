@@ -23,7 +23,7 @@ class Aftermath:
     def error(self, what: str, kind: type[CaptureError], remedy: str) -> CaptureError:
         """The error for a fault; of `kind` unless the controller knows more."""
         if self.safety == "PROTECTIVE_STOP":
-            remedy = "look for the cause, release it at the pendant, then resume"
+            remedy = "do what docs/recovery.md says: find the cause, release the stop at the pendant, resume slowly"
             return ProtectiveStop("protective stop: the arm stands still", where=self.host, why=what, remedy=remedy)
         if self.safety and not may_move(self.safety):
             remedy = "release it at the pendant, switch the arm on, then resume"

@@ -19,7 +19,7 @@ RUNNING = 2  # runtime state of a program that runs and is not paused
 STATE_REGISTER, PROGRESS_REGISTER = f"output_int_register_{FIRST}", f"output_int_register_{FIRST + 2}"
 RESULT_REGISTERS = [f"output_double_register_{FIRST + index}" for index in range(6)]
 OUTPUTS = "timestamp actual_q actual_qd actual_TCP_pose safety_status_bits runtime_state target_speed_fraction".split()
-OUTPUTS += [STATE_REGISTER, PROGRESS_REGISTER, *RESULT_REGISTERS]
+OUTPUTS += ["joint_temperatures", STATE_REGISTER, PROGRESS_REGISTER, *RESULT_REGISTERS]
 COMMAND_ONLY, WITH_ARGUMENTS = 1, 2
 INPUTS = [
     [f"input_int_register_{FIRST}"],
@@ -36,7 +36,7 @@ class KoalaClient:
             self._stream = RtdeStream(host, OUTPUTS, INPUTS, frequency)
         except RegistersInUse as error:
             raise StartError(str(error), StartFailure.IN_USE) from None
-        self._command = Command.NONE
+        self._command, self._is_free = Command.NONE, False
         self._watchdog_hz = watchdog_hz
         self._sample: dict[str, Any] = {}
         self._start(host)
@@ -50,6 +50,7 @@ class KoalaClient:
             "joints": sample["actual_q"],
             "joint_speeds": sample["actual_qd"],
             "tcp_pose": sample["actual_TCP_pose"],
+            "joint_temperatures": sample["joint_temperatures"],
             "speed_fraction": sample["target_speed_fraction"],
             "safety_bits": sample["safety_status_bits"],
             "connected": self._stream.connected,
@@ -66,7 +67,15 @@ class KoalaClient:
 
     def stop(self, deceleration: float) -> None:
         """Bring the arm to rest; returns at once."""
+        if self._is_free:
+            self.freedrive(False)
         self._order(Command.STOP, [deceleration])
+
+    def freedrive(self, on: bool) -> bool:
+        """Let a person move the arm by hand, or hold it; whether the controller did so."""
+        done = self._order(Command.TEACH if on else Command.END_TEACH) and self._done(ANSWER_S)
+        self._is_free = on if done else self._is_free
+        return done
 
     def kick(self) -> None:
         """Show the watchdog that somebody is there, by writing the command register once more."""

@@ -13,10 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koala3d.capture.drivers.errors import CaptureError, MotionError, NotSettled, RigConnectionError, StopLatched
+from koala3d.capture.drivers.events import event
 from koala3d.capture.drivers.measurements import RobotState
 from koala3d.capture.drivers.safety import Limits
 from koala3d.capture.drivers.ur.client import ClientChoice, StartFailure
 from koala3d.capture.drivers.ur.faults import Aftermath, start_remedy
+from koala3d.capture.drivers.ur.freedrive import HandGuided
 from koala3d.capture.drivers.ur.link import ChildLink, Deadlines, Sample
 from koala3d.capture.drivers.ur.pendant import Pendant, client_for, require_ready
 from koala3d.capture.drivers.ur.settling import NOISIEST_RAD, Settling, Window, noise_of
@@ -34,7 +36,7 @@ NOISE_S, NOISE_SAMPLES = 0.3, 60
 """How long, and for how many samples, the noise of the resting arm is measured on entering [s, host's clock]."""
 
 
-class UniversalRobot:
+class UniversalRobot(HandGuided):
     """One arm of Universal Robots: moves to joint angles, reports where the flange is.
 
     Poses are `base_from_flange` in metres in the base of the teach pendant. The controller reports the tool centre
@@ -132,6 +134,7 @@ class UniversalRobot:
             joint_speeds=np.asarray(sample.content["joint_speeds"]),
             robot_time_s=float(sample.content["robot_time_s"]),
             host_time_ns=int(sample.content["host_time_ns"]),
+            joint_temperatures=tuple(sample.content["joint_temperatures"]),
         )
 
     def move_to(self, joints: NDArray[np.float64], *, speed: float, acceleration: float) -> None:
@@ -150,6 +153,7 @@ class UniversalRobot:
             why, remedy = "nothing moves after a stop until it is cleared", "make sure that nobody is in reach, then clear_stop()"
             raise StopLatched("the arm was stopped on request", where=self.host, why=why, remedy=remedy)
         start = self.state().joints
+        event("move", joints_deg=np.degrees(target).round(4).tolist(), speed=speed, acceleration=acceleration)
         try:
             self._move(target, start, speed, acceleration)
             self._settle(target)
@@ -170,6 +174,7 @@ class UniversalRobot:
         Any thread, any number of times. Raises RigConnectionError where nothing confirms that the arm stops.
         """
         self._stopped.set()
+        event("stop", host=self.host)
         link = self._link
         if link is not None and link.request("stop", deceleration=3.0) and self._rests_within(2.0):
             return

@@ -11,7 +11,8 @@ from koala3d.capture.drivers.ur.rtde.stream import RegistersInUse, RtdeStream
 
 START_S, RELEASED_S = 2.0, 0.5  # until the program runs, and until a client that failed has let go of its registers [s]
 VARIABLES = (
-    "timestamp actual_q actual_qd actual_TCP_pose robot_mode safety_mode safety_status_bits runtime_state target_speed_fraction"
+    "timestamp actual_q actual_qd actual_TCP_pose joint_temperatures robot_mode safety_mode safety_status_bits runtime_state "
+    "target_speed_fraction"
 ).split()
 
 
@@ -19,7 +20,7 @@ class VendorClient:
     """Both connections of the library, as a `Client`; with `upper` it takes the registers 24 to 47 and leaves 0 to 23."""
 
     def __init__(self, host: str, frequency: float, watchdog_hz: float, *, upper: bool = False) -> None:
-        self.name = versioned("ur_rtde", "ur-rtde")
+        self.name, self._is_free = versioned("ur_rtde", "ur-rtde"), False
         try:
             self._receive = RTDEReceiveInterface(host, frequency, VARIABLES)
             flags = int(RTDEControlInterface.FLAG_UPLOAD_SCRIPT)
@@ -48,6 +49,7 @@ class VendorClient:
             "joints": self._receive.getActualQ(),
             "joint_speeds": self._receive.getActualQd(),
             "tcp_pose": self._receive.getActualTCPPose(),
+            "joint_temperatures": self._receive.getJointTemperatures(),
             "speed_fraction": self._receive.getTargetSpeedFraction(),
             "safety_bits": self._receive.getSafetyStatusBits(),
             "connected": self._connected,
@@ -64,7 +66,15 @@ class VendorClient:
 
     def stop(self, deceleration: float) -> None:
         """Bring the arm to rest; returns at once."""
+        if self._is_free:
+            self.freedrive(False)
         self._control.stopJ(deceleration, True)
+
+    def freedrive(self, on: bool) -> bool:
+        """Let a person move the arm by hand, or hold it; whether the controller did so."""
+        done = bool(self._control.teachMode() if on else self._control.endTeachMode())
+        self._is_free = on if done else self._is_free
+        return done
 
     def kick(self) -> None:
         """Show the controller's watchdog that somebody is there."""

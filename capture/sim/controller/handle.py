@@ -44,6 +44,10 @@ class ControllerHandle:
         """Move the arm by hand to (6,) joint angles [rad]; returns at once. It must be in freedrive."""
         self.ask("push", joints=np.asarray(joints, np.float64).tolist())
 
+    def signals(self) -> dict[str, Any]:
+        """The electrical outputs; bits of `digital` as in `actual_digital_output_bits`."""
+        return self.ask("signals")
+
     def ask(self, do: str, **arguments: Any) -> dict[str, Any]:
         """Send one request to the side channel and return its reply; `capture.sim.controller.side_channel.ACTIONS` lists them.
 

@@ -109,7 +109,7 @@ _CHANGING: dict[str, Callable[[Outputs], Any]] = {
     "payload_inertia": lambda at: at.payload.inertia,
     "actual_tool_accelerometer": lambda at: at.felt,
     "elbow_position": lambda at: link_frames(at.actual[0], at.arm.links)[2, :3, 3],
-    "joint_temperatures": lambda at: [30.0] * 6,
+    "joint_temperatures": lambda at: [at.arm.warmth.temperature(at.now)] * 6,
     "actual_digital_output_bits": lambda at: at.controller.signals.digital,
     "standard_analog_output0": lambda at: at.controller.signals.analog[0],
     "standard_analog_output1": lambda at: at.controller.signals.analog[1],

@@ -18,6 +18,7 @@ from koala3d.capture.model.kinematics import JOINT_LIMIT, pose_from_six
 from koala3d.capture.sim.controller.installation import Installation
 from koala3d.capture.sim.controller.server import ControllerServer, closing
 from koala3d.capture.sim.controller.state import Controller
+from koala3d.capture.sim.warmth import Warmth
 
 DROP = "drop"  # cuts every RTDE connection
 
@@ -162,6 +163,11 @@ def _speed_slider(controller: Controller, fraction: float) -> None:
     controller.arm.set_speed_slider(fraction, controller.now)
 
 
+def _warm_up(controller: Controller, drift_mm: float, minutes: float) -> None:
+    """Begin to warm up: the joints become warmer, and the flange moves in the base, by so much in the end."""
+    controller.arm.warmth = Warmth.drawn(controller.arm.seed, 1e-3 * drift_mm, minutes, controller.now)
+
+
 ACTIONS: dict[str, Callable[..., dict[str, Any] | None]] = {
     "truth": _truth,
     "motions": _motions,
@@ -180,6 +186,7 @@ ACTIONS: dict[str, Callable[..., dict[str, Any] | None]] = {
     "reach": _reach,
     "noise": _noise,
     "speed_slider": _speed_slider,
+    "warm_up": _warm_up,
     "freedrive": _freedrive,
     "push": _push,
     "signals": _signals,

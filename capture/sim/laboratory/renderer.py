@@ -43,19 +43,25 @@ class Renderer:
         mi.set_variant(using)
         mi.set_log_level(mi.LogLevel.Error)
         self.stage = stage
-        shapes = {f"item{index:03d}": _shape(item) for index, item in enumerate(stage.items)}
-        surroundings = {"type": "envmap", "bitmap": mi.Bitmap(stage.room), "to_world": _transform(BASE_FROM_ROOM)}
-        self._scene = mi.load_dict({"type": "scene", "surroundings": surroundings, **shapes})
+        self._shapes = {f"item{index:03d}": _shape(item) for index, item in enumerate(stage.items)}
+        self._base_from_room = BASE_FROM_ROOM
+        self.light(stage.room)
         depth = CLEAR_DEPTH if stage.transparent else MAX_DEPTH
         self._light = mi.load_dict({"type": "path", "max_depth": depth, "rr_depth": depth})
         self._first = mi.load_dict({"type": "aov", "aovs": "normal:sh_normal,place:position,shape:shape_index"})
         identities = [shape.id() for shape in self._scene.shapes()]
         self._object_indices = [identities.index(f"item{part:03d}") + 1 for part in range(stage.parts)]  # 0 is a miss
 
+    def light(self, room: NDArray[np.float32]) -> None:
+        """Take (h, 2h, 3) other surroundings, in the place of those before."""
+        surroundings = {"type": "envmap", "bitmap": mi.Bitmap(room), "to_world": _transform(self._base_from_room)}
+        self._scene = mi.load_dict({"type": "scene", "surroundings": surroundings, **self._shapes})
+
     def place_room(self, table_from_room: NDArray[np.float64]) -> None:
         """Move the items that stand still before a turning object, and the surroundings with their lamps, by a (4, 4) motion."""
         values = mi.traverse(self._scene)
-        values["surroundings.to_world"] = _transform(table_from_room @ BASE_FROM_ROOM)
+        self._base_from_room = table_from_room @ BASE_FROM_ROOM
+        values["surroundings.to_world"] = _transform(self._base_from_room)
         for index, item in enumerate(self.stage.items):
             if item.name in STILL:
                 places = np.asarray(item.mesh.vertices) @ table_from_room[:3, :3].T + table_from_room[:3, 3]

@@ -61,6 +61,33 @@ def room(rng: np.random.Generator, height: int = 128) -> Picture:
     return np.asarray(picture, np.float32)
 
 
+AMBIENT = 0.15
+"""What is left of the laboratory's light when its lamps are switched off: windows and screens."""
+LAMP = (24.0, 23.0, 21.0)
+"""Radiance of a switched lamp."""
+
+
+def lit(surroundings: Picture, burning: tuple[bool, ...]) -> Picture:
+    """Surroundings like those of `room` when their own light is switched off and some of the lamps are on.
+
+    The lamps are panels of equal size, spread evenly around the room, half-way up.
+    """
+    height, width = surroundings.shape[:2]
+    rows, columns = np.meshgrid((np.arange(height) + 0.5) / height, (np.arange(width) + 0.5) / width, indexing="ij")
+    picture = AMBIENT * surroundings.astype(np.float64)
+    for number, on in enumerate(burning):
+        beside = np.abs((columns - (number + 0.5) / len(burning) + 0.5) % 1 - 0.5)
+        inside = _step(0.08 - np.abs(rows - 0.27)) * _step(0.04 - beside)
+        picture += on * inside[..., None] * np.asarray(LAMP)
+    return np.asarray(picture, np.float32)
+
+
+def brightness(burning: tuple[bool, ...]) -> float:
+    """Light on evenly lit things under some of the lamps, relative to all; the second lamp is twice as bright, and so on."""
+    shares = np.arange(1, len(burning) + 1) / max(sum(range(1, len(burning) + 1)), 1)
+    return float(AMBIENT + (1 - AMBIENT) * (shares @ np.asarray(burning, np.float64)))
+
+
 def _step(signed: NDArray[np.float64], softness: float = 0.012) -> NDArray[np.float64]:
     """0 where `signed` is well below zero, 1 well above, smooth between."""
     share = np.clip(signed / softness * 0.5 + 0.5, 0, 1)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from koala3d.capture.drivers.errors import SimulationError
 from koala3d.capture.model.trajectory import Trajectory
+from koala3d.capture.sim.laboratory import textures
 from koala3d.capture.sim.laboratory.board import BoardPicture
 from koala3d.capture.sim.laboratory.lens import Lens, strips
 from koala3d.capture.sim.laboratory.scenes import CARDS, Stage, check_name, stage
@@ -50,6 +51,9 @@ class View(ABC):
         """The object [m], a trimesh; None without an object."""
         return None
 
+    def light(self, burning: tuple[bool, ...], /) -> None:  # noqa: B027
+        """Switch the lamps of the laboratory; without this call it is lit evenly."""
+
     def place_room(self, world_from_room: NDArray[np.float64], /) -> None:  # noqa: B027
         """Move what does not turn with the object, from where it stood at first, by a (4, 4) motion [m]."""
 
@@ -71,6 +75,10 @@ class InBase:
         if not np.array_equal(base_from_object, self._base_from_object):
             self._base_from_object = base_from_object
             self.view.place_room(pose.inverse(self.base_from_table) @ pose.inverse(base_from_object) @ self.base_from_table)
+
+    def light(self, burning: tuple[bool, ...]) -> None:
+        """See `View`."""
+        self.view.light(burning)
 
     def radiance(self, lens: Lens, base_from_camera: NDArray[np.float64], seed: int) -> NDArray[np.float32]:
         """See `View`."""
@@ -159,16 +167,26 @@ class ObjectView(View):
         """See `View`."""
         self._renderer.place_room(table_from_room)
 
+    def light(self, burning: tuple[bool, ...]) -> None:
+        """See `View`; each lamp is a panel of its own on the walls."""
+        self._renderer.light(textures.lit(self.stage.room, burning))
+
 
 @dataclass
 class BoardView(View):
     """A calibration target on a plate that fills the picture and turns with it."""
 
     board: BoardPicture
+    brightness: float = 1.0
+
+    def light(self, burning: tuple[bool, ...]) -> None:
+        """See `View`; the light comes from everywhere."""
+        self.brightness = textures.brightness(burning)
 
     def radiance(self, lens: Lens, table_from_camera: NDArray[np.float64], seed: int) -> NDArray[np.float32]:
         """See `View`."""
-        return _mean((self.board.radiance(lens, moment) for moment in table_from_camera), len(table_from_camera))
+        light = _mean((self.board.radiance(lens, moment) for moment in table_from_camera), len(table_from_camera))
+        return light if self.brightness == 1.0 else light * np.float32(self.brightness)
 
     def depth(self, camera: Camera, table_from_camera: NDArray[np.float64], seed: int) -> NDArray[np.float32]:
         """See `View`; of the table's plane, on which the board lies."""
@@ -181,11 +199,16 @@ class BoardView(View):
 class CardView(View):
     """A card that fills the picture, everywhere with the same grey light."""
 
-    light: float
+    grey: float
+    brightness: float = 1.0
+
+    def light(self, burning: tuple[bool, ...]) -> None:
+        """See `View`; the light comes from everywhere."""
+        self.brightness = textures.brightness(burning)
 
     def radiance(self, lens: Lens, table_from_camera: NDArray[np.float64], seed: int) -> NDArray[np.float32]:
         """See `View`."""
-        return np.full((lens.camera.height, lens.camera.width, 3), self.light, np.float32)
+        return np.full((lens.camera.height, lens.camera.width, 3), self.grey * self.brightness, np.float32)
 
     def depth(self, camera: Camera, table_from_camera: NDArray[np.float64], seed: int) -> NDArray[np.float32]:
         """See `View`; none: the card is too near."""

@@ -3,6 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from koala3d.capture.cli import main
 from koala3d.capture.model.arm import load_arm
 from koala3d.capture.model.rig import RigDescription
 from koala3d.capture.model.trajectory import load_trajectory
@@ -11,9 +12,13 @@ from koala3d.capture.page.overlay import FRAME, PEAK, peaks, shown
 from koala3d.capture.rig.cameras import camera_for
 from koala3d.capture.sessions.live.analysis import Part
 from koala3d.capture.sessions.live.jog import Jog
+from koala3d.capture.sessions.live.teach import Teaching
 from koala3d.capture.sim.kinematic_arm import KinematicArm
+from koala3d.datasets import pose
 from koala3d.datasets.page import open_page
+from koala3d.datasets.recording import Recording
 from tests.browser import Browse
+from tests.moments import until
 
 PART = Part(8, 8, 56, 40)
 
@@ -69,3 +74,48 @@ def test_the_page_shows_the_emulated_camera_and_moves_the_arm(browse: Browse, tm
             reached = mount.base_from_camera(arm.state().joints)[:3, 3]
     assert (tmp_path / "balance.npz").is_file()
     assert np.allclose(reached, jog.views["000"].camera_pose(mount)[:3, 3], atol=2e-4)  # the arm repeats to a tenth of that
+
+
+@pytest.mark.timeout(600)
+def test_poses_that_are_shown_on_the_page_become_a_trajectory_that_runs(browse: Browse, tmp_path: Path, run_inside):
+    session = load_trajectory("koala_demo", overrides=["camera.width=96", "camera.height=64", "split=null"])
+    mount, taught = RigDescription().carrier(), tmp_path / "taught.yaml"
+    with camera_for("sim", session, scene="grey_card") as camera, open_page("live", 0) as page:
+        with KinematicArm(load_arm("ur5e"), time_scale=100.0) as arm:
+            jog = Jog(arm, session, mount)
+            teaching = Teaching(taught, session, jog.obstacles)
+            live = LookPage(page, camera, PART, burst=8, balance=None, stored="", jog=jog, teaching=teaching)
+            with browse(page) as window:
+                seen = lambda words: window.page.get_by_text(words).first.wait_for()  # noqa: E731
+                press = lambda name: window.page.get_by_role("button", name=name, exact=True).click()  # noqa: E731
+                press("go there")
+                seen("at 000")
+                press("take this pose as a view")
+                seen("view 000 taken")
+                before = mount.base_from_camera(arm.state().joints)
+                press("back")
+                seen("between views")
+                moved = pose.inverse(before) @ mount.base_from_camera(arm.state().joints)
+                press("take this pose as a view")
+                seen("view 001 taken")
+                press("take this pose as a view")
+                seen("view 001 sees the same")
+                window.page.get_by_label("freedrive").click()
+                seen("free: move it by hand")
+                assert jog.is_free
+                press("stop the arm")
+                press("allow motions again")
+                level = mount.base_from_camera(arm.state().joints)
+                press("look up")
+                turned = lambda: pose.inverse(level) @ mount.base_from_camera(arm.state().joints)  # noqa: E731
+                until(lambda: pose.rotation_vector(turned())[0] > np.radians(1.9), "a turn of two degrees upwards")
+            live.end()
+    np.testing.assert_allclose(moved[:3, 3], [0, 0, -0.01], atol=1e-4)
+    planned = run_inside(main, "capture", "plan", str(taught))
+    assert planned.returncode == 0, planned.stderr
+    done = run_inside(main, "capture", "run", str(taught), "--scene", "grey_card", "--out", str(tmp_path / "rec"))
+    assert done.returncode == 0, done.stderr
+    frames = Recording.open(tmp_path / "rec").frames
+    assert [frame.name for frame in frames] == ["000", "001"]
+    apart = pose.inverse(mount.base_from_camera(frames[0].joints)) @ mount.base_from_camera(frames[1].joints)
+    np.testing.assert_allclose(apart[:3, 3], [0, 0, -0.01], atol=2e-4)

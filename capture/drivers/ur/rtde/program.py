@@ -5,7 +5,8 @@ Registers are numbered from `FIRST` = 24: the controller reserves 0 to 23 for fi
     input_int_register_24       command, see `Command`. The client sets it back to 0 after the program has answered DONE
     input_int_register_25       1: answer MOVE and STOP at once; read by the simulated controller only
     input_double_register_24..  arguments. MOVE: six joint angles [rad], speed [rad/s], acceleration [rad/s^2].
-                                STOP: deceleration [rad/s^2]. WATCHDOG: minimum rate of writing the command register [Hz]
+                                STOP: deceleration [rad/s^2]. WATCHDOG: minimum rate of writing the command register [Hz].
+                                TEACH, END_TEACH (freedrive on and off): none
     output_int_register_24      state. 0: starting; READY: waiting for a command; DONE: command executed, waiting for 0
     output_int_register_26      the latest motion. Bits 24-30: its number (0 to 127, then 0 again); 16-22: how often this register
                                 was written; 15: set while the motion is under way
@@ -30,6 +31,8 @@ class Command(IntEnum):
 
     NONE = 0
     MOVE = 1
+    TEACH = 18
+    END_TEACH = 19
     STOP = 34
     WATCHDOG = 35
     TCP_OFFSET = 40
@@ -131,6 +134,11 @@ def koala_control():
         start_move()
       elif command == {stop}:
         come_to_rest(argument(0))
+      elif command == {teach}:
+        come_to_rest(3.0)
+        freedrive_mode()
+      elif command == {end_teach}:
+        end_freedrive_mode()
       elif command == {watchdog}:
         rtde_set_watchdog("input_int_register_{first}", argument(0), "stop")
       elif command == {tcp_offset}:

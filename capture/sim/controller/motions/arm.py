@@ -17,6 +17,7 @@ from koala3d.capture.model.kinematics import Links, forward
 from koala3d.capture.sim.controller.motions.profiles import Braking, Chain, Joints, Move, Profile, Slowing, end_of
 from koala3d.capture.sim.controller.motions.tempo import Tempo
 from koala3d.capture.sim.controller.motions.tracking import Tool, Tracked
+from koala3d.capture.sim.warmth import Warmth
 from koala3d.datasets import pose
 
 SAFETY_DECELERATION = 10.0  # of the fastest joint when the arm is stopped for safety [rad/s^2]
@@ -69,6 +70,7 @@ class SimulatedArm:
         self.model = load_arm(DEFAULT) if model is None else model
         self.seed, self.links, self.noise_rad = seed, self.model.links if links is None else links, noise_rad
         self._noise = np.random.default_rng([seed, 11])
+        self.warmth = Warmth()
         self.deviation = repeatability_m, repeatability_rad
         self.flange_from_tcp = np.eye(4)
         self.mode, self.safety = RobotMode.RUNNING, SafetyMode.NORMAL
@@ -153,12 +155,14 @@ class SimulatedArm:
         return forward(joints, self.links) @ self.flange_from_tcp
 
     def true_base_from_flange(self, now: float) -> NDArray[np.float64]:
-        """(4, 4) where the flange really is [m]: bent after a stop, and off by the error of this visit.
+        """(4, 4) where the flange really is [m]: bent after a stop, off by the error of this visit, and moved by warmth.
 
         The error changes with every stop, and is the same for the same place and number of visits.
         """
         bent = self._swing(now, FLEXURE_HZ, FLEXURE_DECAY_S, FLEXURE_PER_ACCELERATION)[0]
-        return forward(self.actual(now)[0] - bent, self.links) @ self._stopping_error()
+        stands = forward(self.actual(now)[0] - bent, self.links) @ self._stopping_error()
+        stands[:3, 3] += self.warmth.shift(now)
+        return stands
 
     @property
     def tool(self) -> Tool:

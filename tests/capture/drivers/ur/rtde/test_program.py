@@ -20,6 +20,8 @@ HOME = np.array([0, -np.pi / 2, 0, -np.pi / 2, 0, 0])
 GOAL = HOME + 0.5
 CYCLE_S = 0.002
 DOCUMENTED = {
+    "end_freedrive_mode",
+    "freedrive_mode",
     "get_tcp_offset",
     "movej",
     "read_input_float_register",
@@ -84,6 +86,8 @@ class Controller:
             "write_output_integer_register": self.output_ints.__setitem__,
             "write_output_float_register": self.output_floats.__setitem__,
             "get_tcp_offset": lambda: [0.01, 0.02, 0.1, 0.0, 0.3, 0.0],
+            "freedrive_mode": lambda: setattr(self.arm, "freedrive", True),
+            "end_freedrive_mode": lambda: setattr(self.arm, "freedrive", False),
             "rtde_set_watchdog": lambda *arguments: setattr(self, "watchdog", arguments),
             "movej": self._movej,
             "stopj": self._stopj,
