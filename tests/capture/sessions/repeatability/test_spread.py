@@ -36,11 +36,14 @@ def seen(rng: np.random.Generator, visits: int, *, views: int = 5, arm=ARM, drif
 
 
 def test_the_spread_is_that_of_the_arm_and_its_error_is_honest():
-    """Over 60 sessions the error is as often below the standard error as it should be, and below two of them."""
+    """Over 60 sessions the error is within the standard error and two of them at least as often as that of a normal distribution.
+
+    More often, because the standard error allows for corners whose errors are not independent; here they are.
+    """
     sessions = [repeatability(seen(np.random.default_rng(seed), 8, seeing_px=1.5)) for seed in range(60)]
     off = np.array([(one.spread - ARM) / one.spread_error for one in sessions])
     assert abs(off.mean()) < 0.3  # 360 values: the mean of a normal distribution is within 0.16 with 99.7 %; s is biased slightly
-    assert 0.55 < (np.abs(off) < 1).mean() < 0.9 and (np.abs(off) < 2).mean() > 0.9
+    assert (np.abs(off) < 1).mean() > 0.68 and (np.abs(off) < 2).mean() > 0.95
     seeing = np.mean([one.seeing for one in sessions], axis=0)
     np.testing.assert_allclose(seeing, [0.015] * 3 + [4.5] * 3, rtol=0.05)
 
