@@ -14,6 +14,7 @@ GOAL, ARM = "When it ends", "Arm and lens"
 Room = Annotated[
     Path, Argument(metavar="[TRAJECTORY]", help="Trajectory with the target, the settings, and views where the camera may be.")
 ]
+Lens = Annotated[str, Option("--lens", help="Lens model: auto, brown, rational, fisheye or splined.", rich_help_panel=ARM)]
 
 
 def calibrate(
@@ -35,9 +36,7 @@ def calibrate(
         float,
         Option("--arm-deg", min=1e-6, help="Error of its orientation, standard deviation per axis [deg].", rich_help_panel=ARM),
     ] = 0.01,
-    lens: Annotated[
-        str, Option("--lens", help="Lens model: auto, brown, rational, fisheye or splined.", rich_help_panel=ARM)
-    ] = "auto",
+    lens: Lens = "auto",
     scene: Scene = "",
     seed: Seed = 0,
     time_scale: TimeScale = 20.0,

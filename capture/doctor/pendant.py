@@ -6,8 +6,8 @@ import numpy as np
 
 from koala3d.capture.doctor.lines import Line, judged, ok, unknown, wrong
 from koala3d.capture.doctor.report import ControllerReport
+from koala3d.capture.drivers.ur.interfaces.robot_api import FIRST_VERSION, RobotApi
 from koala3d.capture.drivers.ur.pendant import BUSY
-from koala3d.capture.drivers.ur.robot_api import FIRST_VERSION, RobotApi
 from koala3d.capture.drivers.ur.stand_in import program_state
 from koala3d.capture.model.rig import InstallationDescription
 

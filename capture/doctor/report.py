@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koala3d.capture.drivers.errors import RigConnectionError
-from koala3d.capture.drivers.ur import robot_api
-from koala3d.capture.drivers.ur.dashboard import Dashboard
-from koala3d.capture.drivers.ur.primary import Primary, listen
-from koala3d.capture.drivers.ur.robot_api import RobotApi
+from koala3d.capture.drivers.ur.interfaces import robot_api
+from koala3d.capture.drivers.ur.interfaces.dashboard import Dashboard
+from koala3d.capture.drivers.ur.interfaces.primary import Primary, listen
+from koala3d.capture.drivers.ur.interfaces.robot_api import RobotApi
 from koala3d.capture.drivers.ur.rtde.stream import RtdeStream
 from koala3d.capture.model.kinematics import pose_from_six
 from koala3d.datasets import pose

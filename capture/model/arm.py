@@ -16,9 +16,9 @@ from pydantic import Field, model_validator
 
 from koala3d import configs
 from koala3d.capture.model import urdf
-from koala3d.capture.model.geometry import Vector
 from koala3d.capture.model.inverse.solver import Solver, branches, solver_for
 from koala3d.capture.model.parts import Part
+from koala3d.capture.model.shapes.geometry import Vector
 from koala3d.datasets import kinematics, pose
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.core.schema import Schema, load_yaml, validate

@@ -9,10 +9,10 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from koala3d.capture.model.arm import ArmModel
-from koala3d.capture.model.geometry import Vector
-from koala3d.capture.model.inverse.built import BuiltArm
+from koala3d.capture.model.built import BuiltArm
 from koala3d.capture.model.parts import Part, Shape
-from koala3d.capture.model.solids import Solid
+from koala3d.capture.model.shapes.geometry import Vector
+from koala3d.capture.model.shapes.solids import Solid
 from koala3d.capture.model.turntable import TurntableDescription
 from koala3d.datasets import pose
 from koala3d.datasets.core.errors import UsageError

@@ -11,8 +11,8 @@ from koala3d.capture.model.arm import DEFAULT, ArmModel, load_arm, recorded_arm
 from koala3d.capture.model.carrier import BODY, MAX_TOOL_SPEED, Beside, Cable, CameraCapsule, Carrier, Fellow
 from koala3d.capture.model.device import Device
 from koala3d.capture.model.flaws import Flaws
-from koala3d.capture.model.geometry import PoseDescription
-from koala3d.capture.model.solids import AnySolid, CylinderSolid, MeshSolid
+from koala3d.capture.model.shapes.geometry import PoseDescription
+from koala3d.capture.model.shapes.solids import AnySolid, CylinderSolid, MeshSolid
 from koala3d.capture.model.turntable import LampDescription, LampOutput, TurntableDescription
 from koala3d.capture.model.viewpoints import LampName
 from koala3d.datasets import pose

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, model_validator
 
 from koala3d import configs
-from koala3d.capture.model.geometry import BoardPlace, Box
+from koala3d.capture.model.shapes.geometry import BoardPlace, Box
 from koala3d.capture.model.viewpoints import (
     GridViews,
     HemisphereViews,

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
-from koala3d.capture.model.geometry import PoseDescription
+from koala3d.capture.model.shapes.geometry import PoseDescription
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.core.schema import Schema
 from koala3d.datasets.turntable import Axis

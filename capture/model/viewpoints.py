@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field, StringConstraints, field_validator, model_validator
 
 from koala3d.capture.model.carrier import Carrier
-from koala3d.capture.model.geometry import Vector
+from koala3d.capture.model.shapes.geometry import Vector
 from koala3d.capture.model.turning import Turning
 from koala3d.datasets import pose
 from koala3d.datasets.core.schema import Schema

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from koala3d.capture.model.solids import Solid
+from koala3d.capture.model.shapes.solids import Solid
 from koala3d.capture.planning.obstacles import Obstacles
 from koala3d.capture.planning.paths import least_margin
 from koala3d.capture.planning.plan import PlannedView

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from koala3d.capture.model.arm import ArmModel
 from koala3d.capture.model.parts import Part
-from koala3d.capture.model.solids import BoxSolid, CylinderSolid, Solid
+from koala3d.capture.model.shapes.solids import BoxSolid, CylinderSolid, Solid
 from koala3d.capture.model.trajectory import Trajectory
 from koala3d.capture.planning.durations import arrivals
 from koala3d.capture.planning.obstacles import Obstacles

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from koala3d.capture.model.carrier import Carrier
-from koala3d.capture.model.distances import box_distance, segment_distance, sight_distance
 from koala3d.capture.model.parts import Shape
+from koala3d.capture.model.shapes.distances import box_distance, segment_distance, sight_distance
 from koala3d.capture.model.trajectory import Trajectory
 from koala3d.capture.model.turntable import required
 from koala3d.capture.planning.swept import Sweep

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from koala3d.capture.drivers.errors import PlanningError, UnreachableError
+from koala3d.capture.model.built import BuiltArm
 from koala3d.capture.model.carrier import Carrier
-from koala3d.capture.model.inverse.built import BuiltArm
 from koala3d.capture.model.trajectory import Trajectory
 from koala3d.capture.model.viewpoints import Viewpoint
 from koala3d.capture.planning.obstacles import Obstacles

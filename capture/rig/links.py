@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from koala3d import configs
-from koala3d.capture.drivers.ur.primary import listen
-from koala3d.capture.model.inverse.built import BuiltArm
+from koala3d.capture.drivers.ur.interfaces.primary import listen
+from koala3d.capture.model.built import BuiltArm
 from koala3d.capture.model.rig import RigDescription
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import UsageError

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from koala3d.capture import cli
-from koala3d.capture.drivers.ur.dashboard import Dashboard
+from koala3d.capture.drivers.ur.interfaces.dashboard import Dashboard
 from koala3d.capture.sim.controller.process import SimulatedController
 from koala3d.datasets.core import files
 from koala3d.datasets.recording import Recording

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from koala3d.capture.doctor.report import ask as ask_controller
 from koala3d.capture.drivers.errors import CaptureError
 from koala3d.capture.drivers.safety import Limits
-from koala3d.capture.drivers.ur.dashboard import Dashboard
+from koala3d.capture.drivers.ur.interfaces.dashboard import Dashboard
 from koala3d.capture.drivers.ur.link import ChildLink, Deadlines
 from koala3d.capture.drivers.ur.pendant import BUSY, client_for, connect
 from koala3d.capture.drivers.ur.robot import UniversalRobot

@@ -7,8 +7,8 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from koala3d.capture.drivers.ur import primary
 from koala3d.capture.drivers.ur.client import StartError, StartFailure, State, versioned
+from koala3d.capture.drivers.ur.interfaces import primary
 from koala3d.capture.drivers.ur.rtde import program
 from koala3d.capture.drivers.ur.rtde.program import FIRST, Command
 from koala3d.capture.drivers.ur.rtde.stream import RegistersInUse, RtdeStream

@@ -7,7 +7,7 @@ from typing import Protocol, Self
 
 from koala3d.capture.drivers.errors import NotReady, RigConnectionError
 from koala3d.capture.drivers.ur.client import ClientChoice
-from koala3d.capture.drivers.ur.dashboard import Dashboard
+from koala3d.capture.drivers.ur.interfaces.dashboard import Dashboard
 from koala3d.capture.drivers.ur.modes import may_move
 from koala3d.capture.drivers.ur.stand_in import StandIn
 

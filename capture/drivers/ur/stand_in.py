@@ -10,7 +10,7 @@ import time
 from typing import Any, Self
 
 from koala3d.capture.drivers.errors import RigConnectionError
-from koala3d.capture.drivers.ur import primary, robot_api
+from koala3d.capture.drivers.ur.interfaces import primary, robot_api
 from koala3d.capture.drivers.ur.modes import RobotMode, SafetyMode, name_of
 from koala3d.capture.drivers.ur.rtde.stream import RtdeStream
 

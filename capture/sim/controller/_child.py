@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from koala3d.capture.drivers.ur import robot_api
+from koala3d.capture.drivers.ur.interfaces import robot_api
 from koala3d.capture.model.arm import load_arm
 from koala3d.capture.sim.controller import primary, side_channel
 from koala3d.capture.sim.controller.installation import Installation

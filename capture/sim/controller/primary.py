@@ -3,8 +3,8 @@
 import asyncio
 import struct
 
-from koala3d.capture.drivers.ur import primary
-from koala3d.capture.drivers.ur.primary import package
+from koala3d.capture.drivers.ur.interfaces import primary
+from koala3d.capture.drivers.ur.interfaces.primary import package
 from koala3d.capture.model.kinematics import six_from_pose
 from koala3d.capture.sim.controller.server import ControllerServer, closing
 from koala3d.capture.sim.controller.state import Controller

@@ -12,8 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from koala3d.capture.drivers.ur.rtde import wire
-from koala3d.capture.sim import robot_api
-from koala3d.capture.sim.controller import dashboard, script
+from koala3d.capture.sim.controller import dashboard, robot_api, script
 from koala3d.capture.sim.controller.installation import Installation
 from koala3d.capture.sim.controller.motions.arm import SimulatedArm
 from koala3d.capture.sim.controller.outputs import Outputs

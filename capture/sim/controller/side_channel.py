@@ -16,9 +16,9 @@ from koala3d.capture.drivers.ur.modes import RobotMode, SafetyMode
 from koala3d.capture.model.arm import load_arm
 from koala3d.capture.model.kinematics import JOINT_LIMIT, pose_from_six
 from koala3d.capture.sim.controller.installation import Installation
+from koala3d.capture.sim.controller.motions.warmth import Warmth
 from koala3d.capture.sim.controller.server import ControllerServer, closing
 from koala3d.capture.sim.controller.state import Controller
-from koala3d.capture.sim.warmth import Warmth
 
 DROP = "drop"  # cuts every RTDE connection
 

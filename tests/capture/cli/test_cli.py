@@ -191,7 +191,7 @@ def running_sim(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], Path]]:
 
 
 def test_sim_serves_a_session_and_ends_with_ctrl_c(capture, running_sim, tmp_path):
-    from koala3d.capture.drivers.ur.dashboard import Dashboard
+    from koala3d.capture.drivers.ur.interfaces.dashboard import Dashboard
 
     process, rig = running_sim
     board = "calibration_demo"

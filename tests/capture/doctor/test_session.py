@@ -12,7 +12,7 @@ from koala3d.capture.cli import main
 from koala3d.capture.doctor.examine import examination, examine
 from koala3d.capture.doctor.lines import Verdict
 from koala3d.capture.drivers.errors import NotReady
-from koala3d.capture.drivers.ur.dashboard import Dashboard
+from koala3d.capture.drivers.ur.interfaces.dashboard import Dashboard
 from koala3d.capture.drivers.ur.robot import UniversalRobot
 from koala3d.capture.model.rig import RigDescription
 from koala3d.capture.rig.controllers import write_simulated_rig

@@ -8,7 +8,7 @@ import trimesh
 
 from koala3d.capture.model.arm import load_arm
 from koala3d.capture.model.carrier import Beside, Cable, CameraCapsule, Carrier
-from koala3d.capture.model.solids import BoxSolid, CylinderSolid, MeshSolid
+from koala3d.capture.model.shapes.solids import BoxSolid, CylinderSolid, MeshSolid
 from koala3d.capture.model.viewpoints import Viewpoint
 from koala3d.capture.planning import Obstacles, connect
 from koala3d.capture.planning.solutions import solve

@@ -5,7 +5,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from koala3d.capture.model.geometry import Box
+from koala3d.capture.model.shapes.geometry import Box
 from koala3d.capture.model.trajectory import load_trajectory
 from koala3d.datasets.core.errors import UsageError
 

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from koala3d.capture.cli.plan import plan as plan_command
 from koala3d.capture.model.arm import load_arm
 from koala3d.capture.model.carrier import Carrier
-from koala3d.capture.model.solids import BoxSolid, CylinderSolid, MeshSolid
+from koala3d.capture.model.shapes.solids import BoxSolid, CylinderSolid, MeshSolid
 from koala3d.capture.model.urdf import read_chain
 from koala3d.capture.planning import Obstacles, export
 from koala3d.datasets import pose

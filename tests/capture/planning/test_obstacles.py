@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from koala3d.capture.model.distances import box_distance, segment_distance, sight_distance
 from koala3d.capture.model.kinematics import forward
 from koala3d.capture.model.rig import RigDescription
+from koala3d.capture.model.shapes.distances import box_distance, segment_distance, sight_distance
 from koala3d.capture.model.trajectory import load_trajectory
 from koala3d.capture.planning.obstacles import Obstacles
 

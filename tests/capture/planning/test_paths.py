@@ -6,7 +6,7 @@ import pytest
 from koala3d.capture.model.arm import load_arm
 from koala3d.capture.model.carrier import CameraCapsule, Carrier
 from koala3d.capture.model.rig import RigDescription
-from koala3d.capture.model.solids import CylinderSolid
+from koala3d.capture.model.shapes.solids import CylinderSolid
 from koala3d.capture.planning.obstacles import Obstacles
 from koala3d.capture.planning.paths import LEAVE, are_free, find_path, is_free, least_margin
 

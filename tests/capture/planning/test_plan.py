@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from koala3d.capture.drivers.errors import PlanningError, UnreachableError
-from koala3d.capture.model.geometry import Box
 from koala3d.capture.model.kinematics import JOINT_LIMIT, forward
 from koala3d.capture.model.rig import RigDescription
+from koala3d.capture.model.shapes.geometry import Box
 from koala3d.capture.model.trajectory import Trajectory, load_trajectory
 from koala3d.capture.model.viewpoints import HemisphereViews, JointViews
 from koala3d.capture.planning import Obstacles, connect, plan

@@ -11,7 +11,7 @@ import pytest
 from koala3d.capture.cli import main
 from koala3d.capture.drivers.errors import UnreachableError
 from koala3d.capture.model.rig import RigDescription, load_rig, recorded_carrier
-from koala3d.capture.model.solids import BoxSolid
+from koala3d.capture.model.shapes.solids import BoxSolid
 from koala3d.capture.model.trajectory import Trajectory
 from koala3d.capture.model.viewpoints import JointViews
 from koala3d.capture.planning import plan

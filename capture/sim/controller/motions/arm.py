@@ -17,7 +17,7 @@ from koala3d.capture.model.kinematics import Links, forward
 from koala3d.capture.sim.controller.motions.profiles import Braking, Chain, Joints, Move, Profile, Slowing, end_of
 from koala3d.capture.sim.controller.motions.tempo import Tempo
 from koala3d.capture.sim.controller.motions.tracking import Tool, Tracked
-from koala3d.capture.sim.warmth import Warmth
+from koala3d.capture.sim.controller.motions.warmth import Warmth
 from koala3d.datasets import pose
 
 SAFETY_DECELERATION = 10.0  # of the fastest joint when the arm is stopped for safety [rad/s^2]

@@ -5,7 +5,7 @@ import pytest
 
 from koala3d.capture.drivers.errors import MotionError, NotReady, RigConnectionError, SafetyError, StopLatched
 from koala3d.capture.drivers.turntable.grbl import GrblTurntable
-from koala3d.capture.model.geometry import PoseDescription
+from koala3d.capture.model.shapes.geometry import PoseDescription
 from koala3d.capture.model.turntable import TurntableDescription
 from koala3d.capture.sim.grbl import SimulatedGrbl
 from tests.moments import as_soon_as

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from koala3d.capture.drivers.errors import CaptureError, MotionError, NotReady, ProtectiveStop, RigConnectionError, StopLatched
-from koala3d.capture.drivers.ur import robot_api
+from koala3d.capture.drivers.ur.interfaces import robot_api
+from koala3d.capture.drivers.ur.interfaces.robot_api import RobotApi
 from koala3d.capture.drivers.ur.pendant import connect as connect_pendant
 from koala3d.capture.drivers.ur.robot import UniversalRobot
-from koala3d.capture.drivers.ur.robot_api import RobotApi
 from koala3d.capture.drivers.ur.stand_in import program_state
 from koala3d.capture.sim.controller.process import SimulatedController
 from tests.capture.moving import FAR, UNHURRIED, in_motion, moves, stopped_on_its_way

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from koala3d.capture.model.arm import load_arm
-from koala3d.capture.model.inverse.built import BuiltArm
+from koala3d.capture.model.built import BuiltArm
 from koala3d.capture.model.rig import RigDescription
 from koala3d.datasets import kinematics, pose
 from koala3d.datasets.core.errors import UsageError

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from koala3d.capture.model import kinematics
-from koala3d.capture.model.geometry import Box
+from koala3d.capture.model.shapes.geometry import Box
 from koala3d.capture.planning import Obstacles
 from koala3d.capture.sessions.calibrate import candidates
 from koala3d.datasets import pose

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from koala3d.capture.drivers.errors import PlanningError
-from koala3d.capture.model.geometry import Box
+from koala3d.capture.model.shapes.geometry import Box
 from koala3d.capture.model.trajectory import load_trajectory
 from koala3d.capture.planning import Obstacles
 from koala3d.capture.sessions.calibrate import candidates, loop

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from koala3d.capture.model.geometry import Box, PoseDescription
+from koala3d.capture.model.shapes.geometry import Box, PoseDescription
 
 
 def test_corners_are_half_the_size_from_the_centre() -> None:

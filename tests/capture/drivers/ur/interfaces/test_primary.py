@@ -3,7 +3,7 @@
 import socket
 import struct
 
-from koala3d.capture.drivers.ur import primary
+from koala3d.capture.drivers.ur.interfaces import primary
 from koala3d.capture.sim.controller.process import SimulatedController
 from tests.moments import until
 

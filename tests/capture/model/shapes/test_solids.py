@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from pydantic import TypeAdapter, ValidationError
 
-from koala3d.capture.model.solids import AnySolid, BoxSolid, CylinderSolid, MeshSolid, Solid
+from koala3d.capture.model.shapes.solids import AnySolid, BoxSolid, CylinderSolid, MeshSolid, Solid
 from koala3d.datasets.core.errors import UsageError
 
 TURNED = {"position": [0.3, -0.2, 0.4], "rotation_deg": [20, -35, 50]}

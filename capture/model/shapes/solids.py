@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from koala3d.capture.model.distances import box_distance, least
-from koala3d.capture.model.geometry import PoseDescription
+from koala3d.capture.model.shapes.distances import box_distance, least
+from koala3d.capture.model.shapes.geometry import PoseDescription
 from koala3d.datasets import pose
 from koala3d.datasets.core.meshes import FORMATS, read_mesh
 from koala3d.datasets.core.schema import Schema

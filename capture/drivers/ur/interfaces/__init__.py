@@ -1,0 +1,1 @@
+"""What a controller serves beside RTDE: dashboard, primary interface, Robot API."""

@@ -1,0 +1,1 @@
+"""Points, poses and bodies around an arm, and how far apart they are."""
