@@ -1,8 +1,8 @@
 """What real sensors, lamps and arms do besides: black level, vignetting, uneven and hot pixels, unbalanced channels, flicker,
 noise of encoders, drift.
 
-All but the noise of encoders are off by default. `configs/rigs/sim_flawed.yaml` switches them on. The description and the seed are
-the truth.
+All but the noise of encoders are off by default. `configs/rigs/sim_flawed.yaml` switches them on. The description and the seed
+are the truth.
 """
 
 from dataclasses import dataclass

@@ -8,7 +8,7 @@ import json
 from collections.abc import Callable
 from typing import Any
 
-from koala3d.capture.drivers.ur import robot_api as api
+from koala3d.capture.drivers.ur.interfaces import robot_api as api
 from koala3d.capture.sim.controller import dashboard
 from koala3d.capture.sim.controller.state import Controller
 
