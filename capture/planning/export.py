@@ -58,7 +58,7 @@ def motion(trajectory: Trajectory, obstacles: Obstacles, planned: list[PlannedVi
     the plan, which assumes that all joints start and stop together.
     """
     carrier, points = obstacles.carrier, list[dict[str, Any]]()
-    for view, times in zip(planned, arrivals(trajectory, planned, carrier.turntable), strict=True):
+    for view, times in zip(planned, arrivals(trajectory, planned, carrier), strict=True):
         for number, corner in enumerate(view.path):
             taken = view.viewpoint.name if number + 1 == len(view.path) else None
             for time in times[2 * number : 2 * number + 2]:

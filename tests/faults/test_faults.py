@@ -61,7 +61,7 @@ RELEASE = "unlock protective stop"
 FAULTS = {
     "protective stop": Fault(
         _ask("protective_stop"),
-        ("protective stop: the arm stands still", "release it at the pendant"),
+        ("protective stop: the arm stands still", "docs/recovery.md"),
         lambda session: session.at_the_pendant(RELEASE),
     ),
     "emergency stop": Fault(

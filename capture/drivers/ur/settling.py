@@ -58,8 +58,10 @@ class Window:
         decays is at the beginning of the window only: each third of it is judged as well, if it has samples enough.
         """
         count = len(self._samples)
-        if not self.full or count < 2:
+        if not self.full:
             return False
+        if count < 2:  # no time is asked for
+            return True
         angles = np.array([joints for _, joints in self._samples])
         thirds = np.array_split(angles, 3) if count >= 3 * FEWEST else []
         for part in [angles, *thirds]:

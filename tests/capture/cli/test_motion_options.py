@@ -62,7 +62,18 @@ def test_each_move_is_asked_for_and_the_session_ends_where_a_person_says_so(sess
 
 
 def test_without_a_terminal_nothing_is_asked_and_nothing_begins(session: Path, tmp_path: Path, capture) -> None:
-    command = [sys.executable, "-m", "koala3d.capture.cli", "run", str(session), "--out", str(tmp_path / "rec"), "--confirm"]
+    command = [
+        sys.executable,
+        "-m",
+        "koala3d.capture.cli",
+        "run",
+        str(session),
+        "--scene",
+        "grey_card",
+        "--out",
+        str(tmp_path / "rec"),
+        "--confirm",
+    ]
     done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=300)
     assert done.returncode == 2 and done.stderr.count("\n") == 1 and "no terminal to ask on" in done.stderr
     assert not (tmp_path / "rec").exists()
@@ -71,7 +82,7 @@ def test_without_a_terminal_nothing_is_asked_and_nothing_begins(session: Path, t
 def test_a_dry_run_moves_the_arm_and_records_nothing(session: Path, tmp_path: Path, capture, monkeypatch) -> None:
     monkeypatch.setattr("koala3d.capture.sim.camera.SimulatedCamera.__enter__", None)  # no camera is opened
     monkeypatch.chdir(tmp_path)
-    done = capture("run", session, "--dry-run", "--json")
+    done = capture("run", session, "--scene", "grey_card", "--dry-run", "--json")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["views"] == 2 and "first move, to view 000" in done.stderr
     assert sorted(path.name for path in tmp_path.iterdir()) == ["two.yaml"]

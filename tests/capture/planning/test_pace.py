@@ -8,7 +8,7 @@ from koala3d.capture.model.rig import RigDescription
 from koala3d.capture.model.trajectory import Motion, load_trajectory
 from koala3d.capture.planning import Pace, fastest, plan
 from koala3d.capture.planning.durations import duration
-from koala3d.capture.sim.controller.arm import SimulatedArm
+from koala3d.capture.sim.controller.motions.arm import SimulatedArm
 from koala3d.datasets import pose
 
 CARRIER = RigDescription().carrier()

@@ -139,7 +139,7 @@ def test_a_killed_session_leaves_whole_lines_and_its_resume_a_trace(tmp_path, tr
         f.name: f.wall_time for f in frames
     }.items()
     move = next(one for one in read(out) if one.name == "move")
-    assert len(move.facts["joints_deg"]) == 6 and move.facts["speed"] == 0.8
+    assert len(move.facts["joints_deg"]) == 6 and move.facts["speed"] == 0.1, "the first move is slow"
     (rig, *_) = [one.facts for one in read(out) if one.name == "rig"]
     assert rig["robot"]["software"] and rig["robot"]["client"] and rig["cameras"][0]["model"]
 

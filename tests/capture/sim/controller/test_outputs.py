@@ -67,4 +67,6 @@ def test_every_variable_has_a_value_that_its_type_can_hold(controller):
     names = [*wire.OUTPUT_TYPES, "output_double_register_0", "input_int_register_47"]
     moment, recipe = Outputs(controller, 1.0), wire.Recipe(names)
     values = recipe.unpack(recipe.pack([moment[name] for name in names]))
-    assert values["joint_temperatures"] == [30.0] * 6 and values["payload_cog"] == list(Installation().payload_centre)
+    assert values["joint_temperatures"] == [controller.arm.warmth.temperature(1.0)] * 6 and values["payload_cog"] == list(
+        Installation().payload_centre
+    )
