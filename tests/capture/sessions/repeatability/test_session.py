@@ -60,7 +60,7 @@ def test_the_pictures_tell_how_the_arm_comes_back_and_drifts(tmp_path, run_insid
     # the arm's error is 0.03 mm and 5 mdeg; the latter moves what is seen half a metre away by 0.04 mm more
     assert (0.02 < true.spread[:3]).all() and (true.spread[:3] < 0.12).all() and (true.spread[3:] < 9).all()  # the premise
     assert (np.abs(spread - true.spread) < 2 * error).all(), (spread, true.spread, error)
-    assert (error[:3] < 0.03).all()
+    assert (error[:3] < [0.02, 0.02, 0.05]).all()  # z is nearly the line of sight, along which small pictures tell least
     drift, limit = (np.array([content[key][axis] for axis in AXES[:3]]) for key in ("drift", "drift_error"))
     assert (np.abs(drift - true.drift[:3]) < 2 * limit).all() and np.linalg.norm(true.drift[:3]) > 0.3 * DRIFT_MM
     assert content["warming"] > 3 and content["per_degree"] is not None
