@@ -20,6 +20,8 @@ from koala3d.datasets.recording import TRUTH, Recording
 SMALL = ["--set", "camera.binning=4", "--set", "camera.width=480", "--set", "camera.height=270"]
 VISITS, VIEWS = 6, 5
 DRIFT_MM = 0.3
+CREDIBLE = 3.5
+"""Standard errors that a figure may be off: of nine honest ones, one run in 240 has one that is farther off."""
 
 
 def true_figures(path: Path):
@@ -59,10 +61,10 @@ def test_the_pictures_tell_how_the_arm_comes_back_and_drifts(tmp_path, run_insid
     spread, error = (np.array([content[key][axis] for axis in AXES]) for key in ("spread", "spread_error"))
     # the arm's error is 0.03 mm and 5 mdeg; the latter moves what is seen half a metre away by 0.04 mm more
     assert (0.02 < true.spread[:3]).all() and (true.spread[:3] < 0.12).all() and (true.spread[3:] < 9).all()  # the premise
-    assert (np.abs(spread - true.spread) < 2 * error).all(), (spread, true.spread, error)
+    assert (np.abs(spread - true.spread) < CREDIBLE * error).all(), (spread, true.spread, error)
     assert (error[:3] < [0.02, 0.02, 0.05]).all()  # z is nearly the line of sight, along which small pictures tell least
     drift, limit = (np.array([content[key][axis] for axis in AXES[:3]]) for key in ("drift", "drift_error"))
-    assert (np.abs(drift - true.drift[:3]) < 2 * limit).all() and np.linalg.norm(true.drift[:3]) > 0.3 * DRIFT_MM
+    assert (np.abs(drift - true.drift[:3]) < CREDIBLE * limit).all() and np.linalg.norm(true.drift[:3]) > 0.3 * DRIFT_MM
     assert content["warming"] > 3 and content["per_degree"] is not None
 
     assert "spread of a visit" in done.stdout and "drift from first to last visit" in done.stdout
