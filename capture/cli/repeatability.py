@@ -1,13 +1,17 @@
 """The command `repeatability`."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 from typer import Argument, Option
 
-from koala3d.capture.cli.options import CalibrationFile, RigName, Seed, Settings, TakeOver, TimeScale
+from koala3d.capture.cli.confirm import asker
+from koala3d.capture.cli.options import CalibrationFile, Confirm, Ignore, RigName, Seed, Settings, Slow, TakeOver, TimeScale
 from koala3d.datasets.core import console
 
+FEWEST_VIEWS = 5
+"""From fewer views the camera cannot be estimated."""
 Room = Annotated[Path, Argument(metavar="[TRAJECTORY]", help="Trajectory with the target and the settings; its views are used.")]
 
 
@@ -22,6 +26,9 @@ def repeatability(
     time_scale: TimeScale = 20.0,
     resume: Annotated[bool, Option("--resume", help="Continue an interrupted session.")] = False,
     take_over: TakeOver = False,
+    ignore: Ignore = None,
+    slow: Slow = 1.0,
+    confirm: Confirm = False,
     settings: Settings = None,
     as_json: console.Json = False,
 ) -> None:
@@ -39,9 +46,13 @@ def repeatability(
     room = load_trajectory(trajectory, overrides=settings)
     if room.target is None:
         raise UsageError("has no calibration target", where=trajectory, remedy="use 'calibration', or state 'target'")
+    if calibration is None and views < FEWEST_VIEWS:
+        remedy = f"take {FEWEST_VIEWS} or more, or add --calibration CALIBRATION.json"
+        raise UsageError("are too few views to estimate the camera from", where=f"--views {views}", remedy=remedy)
     if not resume:
         refuse_existing(out)
-    options = SessionOptions(rig, "", seed, time_scale, take_over=take_over, resume=resume)
+    options = SessionOptions(rig, "", seed, time_scale, take_over=take_over, resume=resume, slow=slow)
+    options = replace(options, ask=asker(confirm), ignore=tuple(ignore or ()))
     try:
         found = session.run(room, out, options, visits, views, calibration)
     except KeyboardInterrupt:

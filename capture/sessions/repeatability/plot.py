@@ -30,7 +30,8 @@ def drawn(found: Repeatability) -> "Figure":
             axes.plot(minutes[mine], found.curve[mine, number], "-", color=colour, linewidth=0.8)
         axis, unit = name.split("_")
         limit = 2 * found.spread_error[number]
-        axes.set_title(f"{axis}: spread {found.spread[number]:.3g} ± {limit:.1g} {unit}", fontsize=10)
+        axis, digits = (axis, 3) if number < 3 else (f"about {axis}", 1)
+        axes.set_title(f"{axis}: spread {found.spread[number]:.{digits}f} ± {limit:.{digits}f} {unit}", fontsize=10)
         axes.axhline(0.0, color="#808080", linewidth=0.6)
         if number % 3 == 0:
             axes.set_ylabel(UM_LABELS[unit])

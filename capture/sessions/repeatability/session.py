@@ -156,10 +156,10 @@ def describe(out: Path, found: Repeatability) -> str:
 def _row(title: str, millimetres: list[str], millidegrees: list[str]) -> str:
     return (
         f"  {title:38}"
-        + "".join(f"{cell:>16}" for cell in millimetres)
+        + "".join(f"{cell:>18}" for cell in millimetres)
         + " mm  " * bool(title)
         + "     " * (not title)
-        + ("".join(f"{cell:>14}" for cell in millidegrees) + " mdeg" * bool(title))
+        + ("".join(f"{cell:>16}" for cell in millidegrees) + " mdeg" * bool(title))
     )
 
 

@@ -89,3 +89,10 @@ def test_the_arm_goes_round_and_stands_still_for_the_second_picture():
 def test_a_trajectory_without_a_target_is_refused(run_inside, tmp_path):
     done = run_inside(main, "capture", "repeatability", "koala_demo", "--out", tmp_path / "rep")
     assert done.returncode == 2 and "has no calibration target" in done.stderr
+
+
+def test_too_few_views_for_a_camera_are_refused_before_anything_moves(run_inside, tmp_path):
+    words = ["capture", "repeatability", "calibration_demo", "--views", "4", "--out", tmp_path / "rep"]
+    done = run_inside(main, *words)
+    assert done.returncode == 2 and "--views 4: are too few views to estimate the camera from" in done.stderr
+    assert not (tmp_path / "rep").exists()
