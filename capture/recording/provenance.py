@@ -13,7 +13,7 @@ from typing import Any
 
 from koala3d.datasets.core import console
 
-PACKAGES = ("koala-capture", "ur-rtde", "pypylon", "numpy", "opencv-python-headless", "opencv-python")
+PACKAGES = ("koala-capture", "ur-rtde", "pypylon", "numpy", "opencv-contrib-python-headless")
 """Packages whose versions are stated, where they are installed."""
 GIT_S = 5.0
 

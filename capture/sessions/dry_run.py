@@ -22,7 +22,8 @@ def drive(trajectory: Trajectory, options: SessionOptions, advance: Advance) -> 
     Raises UnreachableError: a view cannot be taken, nothing has moved. CaptureError: an error of the arm, which stands still.
     """
     description = describe(options.rig)
-    examine = examination(Path.cwd(), trajectory.upwards, take_over=options.take_over, cameras=False)
+    take_over, ignore = options.take_over, options.ignore
+    examine = examination(Path.cwd(), trajectory.upwards, take_over=take_over, ignore=ignore, cameras=False)
     moves = options.moves()
     with open_arm(
         options.rig,
@@ -31,7 +32,7 @@ def drive(trajectory: Trajectory, options: SessionOptions, advance: Advance) -> 
         links_seed=options.seed,
         time_scale=options.time_scale,
         examine=examine,
-        take_over=options.take_over,
+        take_over=take_over,
     ) as (robot, controller):
         carrier = description.carrier().as_built(reported_links(description, host_of(description, controller)))
         planned, obstacles = plan(trajectory, carrier), Obstacles.of(trajectory, carrier)

@@ -137,6 +137,8 @@ def test_a_line_that_is_ignored_is_shown_and_the_recording_keeps_it(run_inside, 
     assert kept.keys() == {"payload", "mounting"} and kept["payload"] == "none entered"
     assert capture("replay", out, "--rig", rig).returncode == 1
     assert capture("replay", out, "--rig", rig, *both).returncode == 0
+    assert capture("run", small, "--rig", rig, "--dry-run").returncode == 1
+    assert capture("run", small, "--rig", rig, "--dry-run", *both).returncode == 0
 
 
 def test_an_unknown_line_cannot_be_ignored(run_inside, simulated, tmp_path: Path):

@@ -97,7 +97,12 @@ def test_half_a_line_does_not_spoil_the_next_one(tmp_path):
 
 def test_the_software_is_identified(tmp_path):
     facts = provenance.facts()
-    assert len(facts["source_sha256"]) == 64 and facts["versions"]["koala-capture"] and facts["process"] == os.getpid()
+    assert (
+        len(facts["source_sha256"]) == 64
+        and facts["versions"]["koala-capture"]
+        and facts["versions"]["opencv-contrib-python-headless"]
+        and facts["process"] == os.getpid()
+    )
     json.dumps(facts)
     assert provenance.commit(tmp_path) == ""
     git = ["git", "-C", str(tmp_path), "-c", "user.name=n", "-c", "user.email=e"]
