@@ -7,7 +7,19 @@ from typing import Annotated
 from typer import Argument, Option
 
 from koala3d.capture.cli.confirm import asker
-from koala3d.capture.cli.options import Confirm, Ignore, RigName, Scene, Seed, Settings, Slow, TakeOver, TimeScale
+from koala3d.capture.cli.options import (
+    Confirm,
+    Ignore,
+    Resume,
+    RigName,
+    Scene,
+    Seed,
+    SessionFolder,
+    Settings,
+    Slow,
+    TakeOver,
+    TimeScale,
+)
 from koala3d.datasets.core import console
 
 GOAL, ARM = "When it ends", "Arm and lens"
@@ -18,7 +30,7 @@ Lens = Annotated[str, Option("--lens", help="Lens model: auto, brown, rational, 
 
 
 def calibrate(
-    out: Annotated[Path, Option("--out", metavar="SESSION", help="New recording to write, or with --resume an existing one.")],
+    out: SessionFolder,
     trajectory: Room = Path("calibration"),
     rig: RigName = "sim",
     until_mm: Annotated[
@@ -40,7 +52,7 @@ def calibrate(
     scene: Scene = "",
     seed: Seed = 0,
     time_scale: TimeScale = 20.0,
-    resume: Annotated[bool, Option("--resume", help="Continue an interrupted session.")] = False,
+    resume: Resume = False,
     take_over: TakeOver = False,
     ignore: Ignore = None,
     slow: Slow = 1.0,

@@ -28,6 +28,10 @@ Seed = Annotated[int, Option(min=0, help="Random seed; the same seed is the same
 TimeScale = Annotated[
     float, Option(min=0.1, max=1000, help="Speed of the arm relative to real time.", rich_help_panel=SIMULATION)
 ]
+SessionFolder = Annotated[
+    Path, Option("--out", metavar="SESSION", help="New recording to write, or with --resume an existing one.")
+]
+Resume = Annotated[bool, Option("--resume", help="Continue an interrupted session.")]
 TakeOver = Annotated[
     bool, Option("--take-over", help="End the program that runs on the robot's controller. Default: refuse to start.")
 ]

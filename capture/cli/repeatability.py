@@ -7,7 +7,19 @@ from typing import Annotated
 from typer import Argument, Option
 
 from koala3d.capture.cli.confirm import asker
-from koala3d.capture.cli.options import CalibrationFile, Confirm, Ignore, RigName, Seed, Settings, Slow, TakeOver, TimeScale
+from koala3d.capture.cli.options import (
+    CalibrationFile,
+    Confirm,
+    Ignore,
+    Resume,
+    RigName,
+    Seed,
+    SessionFolder,
+    Settings,
+    Slow,
+    TakeOver,
+    TimeScale,
+)
 from koala3d.datasets.core import console
 
 FEWEST_VIEWS = 5
@@ -16,7 +28,7 @@ Room = Annotated[Path, Argument(metavar="[TRAJECTORY]", help="Trajectory with th
 
 
 def repeatability(
-    out: Annotated[Path, Option("--out", metavar="SESSION", help="New recording to write, or with --resume an existing one.")],
+    out: SessionFolder,
     trajectory: Room = Path("calibration"),
     rig: RigName = "sim",
     visits: Annotated[int, Option("--visits", min=3, max=9999, help="How often each view is taken.")] = 30,
@@ -24,7 +36,7 @@ def repeatability(
     calibration: CalibrationFile = None,
     seed: Seed = 0,
     time_scale: TimeScale = 20.0,
-    resume: Annotated[bool, Option("--resume", help="Continue an interrupted session.")] = False,
+    resume: Resume = False,
     take_over: TakeOver = False,
     ignore: Ignore = None,
     slow: Slow = 1.0,
