@@ -263,9 +263,7 @@ class Recording:
         if given is None and files.sha256(path) != stated:
             why = "its SHA-256 differs from the manifest's"
             raise DatasetError("is not the response that was recorded", where=path, why=why, remedy="restore it")
-        found = Response.load(path)
-        found.require(self.part("camera"), where=path)
-        return found
+        return Response.load(path).of_camera(self.part("camera"), where=path)
 
     @property
     def turns(self) -> bool:

@@ -37,7 +37,7 @@ def flat(
         if ask:
             typer.confirm(f"{request}; ready?", default=True, abort=True, err=True)
         with console.progress(request, frames, "pictures") as shown:
-            with camera_for(rig, session, scene=scene, seed=seed) as camera:
+            with camera_for(rig, session, scene=scene, seed=seed, flat=out) as camera:
                 found.append(statistics(camera, frames, shown.advance))
                 said = camera.description()
     result = measured(said, *found)

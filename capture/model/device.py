@@ -39,6 +39,10 @@ class Device(Schema):
         description="opencv: number of a webcam, or a video or numbered pictures ('shots/%03d.png'); "
         "genicam: the GenTL producer (.cti), empty: those of GENICAM_GENTL64_PATH",
     )
+    radiometry: str = Field(
+        default="",
+        description="file that 'capture flat' has written, relative to the rig file; recordings keep a copy of it; empty: none",
+    )
     settings: dict[str, Value] = Field(
         default={}, description="more settings by the names that the camera gives them; written last, and read back"
     )

@@ -78,10 +78,6 @@ class CameraDescription(Device):
     """The camera. Exposure, gain and region belong to the trajectory."""
 
     firmware: str = Field(default="", description="firmware version; empty: not compared")
-    radiometry: str = Field(
-        default="",
-        description="file that 'capture flat' has written, relative to the rig file; recordings keep a copy of it; empty: none",
-    )
     lens: str = Field(default="", description="focal length, aperture and focus, in your words; empty: not compared")
     body: list[CameraCapsule] = Field(
         default=list(BODY), description="shape of camera, lens and plug in the camera's frame, for collision checks"

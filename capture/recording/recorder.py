@@ -294,7 +294,7 @@ def _created(out: Path, manifest: dict[str, Any], rig: Rig) -> Recording:
     source = rig.description.camera.radiometry
     if not source:
         return Recording.create(out, manifest)
-    Response.load(Path(source)).require(manifest["camera"], where=source)
+    Response.load(Path(source)).of_camera(manifest["camera"], where=source)
     data = files.read_regular(Path(source), arrays.MAX_BYTES)
     recording = Recording.create(out, {**manifest, "radiometry": {"file": source, "sha256": hashlib.sha256(data).hexdigest()}})
     files.write_bytes(out / RADIOMETRY, data)

@@ -1,6 +1,7 @@
 """Opens the camera of a rig: the driver that its `model` names, or a simulation; and the view of it that `capture doctor` has."""
 
 from contextlib import AbstractContextManager
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from koala3d.capture.drivers.cameras.base import CameraDriver, InspectedCamera
@@ -88,17 +89,21 @@ def camera_in(
     return made, made
 
 
-def camera_for(name: str, trajectory: Trajectory, *, scene: str, seed: int = 0, view: int = 0) -> Camera:
+def camera_for(
+    name: str, trajectory: Trajectory, *, scene: str, seed: int = 0, view: int = 0, flat: Path | None = None
+) -> Camera:
     """The camera of a rig, not connected; entering it connects it and leaves the arm alone.
 
     Args:
         scene: what a simulated camera looks at.
         seed: of everything random in a simulation.
         view: number of the view of the trajectory from which a simulated camera looks.
+        flat: file that will hold its response; None: that of the rig.
     """
     description = describe(name)
+    device = description.camera if flat is None else description.camera.model_copy(update={"radiometry": str(flat)})
     if not is_simulated(name, description):
-        return driver_of(description.camera, trajectory.camera)
+        return driver_of(device, trajectory.camera)
     from koala3d.capture.planning import Obstacles
     from koala3d.capture.sim.camera import SimulatedCamera, StillArm
     from koala3d.capture.sim.truth import RigTruth
@@ -106,7 +111,7 @@ def camera_for(name: str, trajectory: Trajectory, *, scene: str, seed: int = 0, 
     carrier = description.carrier()
     arm = StillArm(Obstacles.of(trajectory, carrier).flange_for(trajectory.viewpoints()[view].camera_pose(carrier)))
     truth, flaws = RigTruth.of(carrier, trajectory, seed), _flaws_of(description)
-    return SimulatedCamera(trajectory, scene, truth, arm, seed, flaws, device=description.camera)
+    return SimulatedCamera(trajectory, scene, truth, arm, seed, flaws, device=device)
 
 
 def _flaws_of(description: RigDescription) -> Flaws:

@@ -124,7 +124,7 @@ class SimulatedCamera:
         device = device or Device()
         self._driver = emulated(trajectory.camera, device, truth.sensor_camera, number, sums=flaws.sums_columns)
         self._exposure_us = self._first_us = trajectory.camera.exposure_us  # as read back, while it is open
-        self._binning_gain, self.flaws = 1, flaws
+        self._binning_gain, self._black_level, self.flaws = 1, 0.0, flaws
         self._maps: SensorMaps | None = None
         self._seen: tuple[tuple[int, bytes], NDArray[np.float32]] | None = None
         self._lens: Lens | None = None
@@ -132,7 +132,7 @@ class SimulatedCamera:
     def __enter__(self) -> Self:
         self._driver.__enter__()
         self._exposure_us = self._first_us = self._driver.exposure_us
-        self._binning_gain = self._driver.binning_gain
+        self._binning_gain, self._black_level = self._driver.binning_gain, self._driver.black_level
         self._lens = Lens(self._driver.camera(self.truth.sensor_camera))
         if self.flaws != PERFECT:
             sensor = self.truth.sensor_camera
@@ -205,7 +205,7 @@ class SimulatedCamera:
     @property
     def sensor(self) -> Sensor:
         """The sensor, without the flaws of single pixels."""
-        return Sensor(black_level=self.flaws.black_level)
+        return Sensor(black_level=self.flaws.black_level + self._black_level)
 
     @property
     def is_grey(self) -> bool:

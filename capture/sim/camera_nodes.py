@@ -3,10 +3,12 @@
 The families differ in the names by which they encode colours; see `capture.drivers.cameras.start_state`.
 """
 
+import time
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Any
 
+from koala3d.capture.drivers.cameras.genicam import FREQUENCY, LATCHES
 from koala3d.capture.drivers.cameras.nodes import Nodes
 from koala3d.capture.drivers.errors import CaptureError
 
@@ -20,11 +22,15 @@ class Setting:
     stuck: bool = False
 
 
+TICK_NS = 8
+"""A tick of the clock of a simulated GigE camera, which was switched on with this computer."""
 COMMON = {"DeviceTemperature": Setting(45.0), "DeviceLinkSpeed": Setting(500_000_000)}
 FAMILIES: dict[str, dict[str, Setting]] = {
     "ace USB": {
         **COMMON,
         "ColorSpace": Setting("RGB", ("RGB", "sRGB")),
+        "TimestampLatch": Setting(None),
+        "TimestampLatchValue": Setting(0),
         "LightSourcePreset": Setting("Daylight5000K", ("Off", "Daylight5000K", "Tungsten2800K")),
     },
     "ace 2": {**COMMON, "BslColorSpace": Setting("Off", ("Off", "sRgb")), "BslTemperatureStatus": Setting("Ok")},
@@ -35,6 +41,9 @@ FAMILIES: dict[str, dict[str, Setting]] = {
         "GammaSelector": Setting("User", ("User", "sRGB")),
         "GammaEnable": Setting(False),
         "BlackLevelRaw": Setting(32),
+        "GevTimestampControlLatch": Setting(None),
+        "GevTimestampValue": Setting(0),
+        "GevTimestampTickFrequency": Setting(10**9 // TICK_NS),
     },
 }
 
@@ -63,7 +72,10 @@ class SimulatedNodes:
     def write(self, name: str, value: Any) -> None:
         """See `Nodes`."""
         setting = self._over.get(name)
-        if setting is None:
+        if name in LATCHES and setting is not None:
+            tick_ns = TICK_NS if self.has(FREQUENCY) else 1
+            self._over[LATCHES[name]] = Setting(time.monotonic_ns() // tick_ns)
+        elif setting is None:
             self._under.write(name, value)
         elif setting.symbolics and value not in setting.symbolics:
             raise CaptureError(f"camera rejected {name}", why=f"requested {value}, possible: {', '.join(setting.symbolics)}")

@@ -74,6 +74,11 @@ class Emulated(ABC):
         """How many times as bright as an unbinned pixel a binned one is, at the same exposure time."""
         return int(self._driver.description().get("binning_gain", 1))
 
+    @property
+    def black_level(self) -> float:
+        """What the camera adds to every value by its settings [share of the largest value]."""
+        return float(self._driver.description().get("black_level", 0.0))
+
     def description(self) -> dict[str, Any]:
         """See `capture.drivers.protocols.Camera`."""
         return self._driver.description()
@@ -82,8 +87,9 @@ class Emulated(ABC):
 class EmulatedBasler(Emulated):
     """The emulated camera of pylon with a number, from 0: each can be opened once. `sums`: see `Basler`."""
 
-    def __init__(self, settings: CameraSettings, number: int = 0, *, sums: bool = False) -> None:
-        self._basler, self._count = Basler(settings, Device(serial=serial_of(number)), emulated=True, sums=sums), 0
+    def __init__(self, settings: CameraSettings, number: int = 0, *, sums: bool = False, radiometry: str = "") -> None:
+        device = Device(serial=serial_of(number), radiometry=radiometry)
+        self._basler, self._count = Basler(settings, device, emulated=True, sums=sums), 0
         super().__init__(self._basler)
         self._folder: TemporaryDirectory[str] | None = None  # while it is open
 
@@ -195,4 +201,4 @@ def emulated(settings: CameraSettings, device: Device, sensor_camera: Camera, nu
     """The emulation for the camera of a rig with a number, from 0; `sums`: see `Basler`."""
     if device.model == "realsense":
         return EmulatedRealSense(settings, device, sensor_camera)
-    return EmulatedBasler(settings, number, sums=sums)
+    return EmulatedBasler(settings, number, sums=sums, radiometry=device.radiometry)

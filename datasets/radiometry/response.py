@@ -8,7 +8,7 @@ or the whole of a grey one. A value for each plane is an array (period, period, 
 
 import hashlib
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -48,6 +48,8 @@ class Response:
     """Variance of a value that light adds, per value: 1 / electrons of a full pixel."""
     read: float
     """Standard deviation of a value without light."""
+    black_level: float = 0.0
+    """What a setting of the camera had added to `black` while it was measured."""
 
     @classmethod
     def unmeasured(cls, height: int, width: int, planes: tuple[int, int, int]) -> Self:
@@ -68,6 +70,7 @@ class Response:
             "gain_db": self.gain_db,
             "shot": self.shot,
             "read": self.read,
+            "black_level": self.black_level,
             "sha256": _digest(parts),
         }
         with files.atomic_path(Path(path)) as temporary, open(temporary, "wb") as file:
@@ -94,10 +97,9 @@ class Response:
             if _digest(parts) != about["sha256"]:
                 raise ValueError("its checksum is wrong")
             region = Region.from_json(about["region"], where=path)
-            numbers = [float(about[name]) for name in ("gain_db", "shot", "read")]
-            found = cls(
-                str(about["serial"]), str(about["pixel_format"]), region, numbers[0], **parts, shot=numbers[1], read=numbers[2]
-            )
+            numbers = {name: float(about[name]) for name in ("gain_db", "shot", "read")}
+            numbers["black_level"] = float(about.get("black_level", 0.0))  # older files were measured without one
+            found = cls(str(about["serial"]), str(about["pixel_format"]), region, **numbers, **parts)
             found._check()
         except (KeyError, TypeError, ValueError) as error:
             raise DatasetError("is not a measured response", where=path, why=str(error), remedy=remedy) from None
@@ -117,8 +119,11 @@ class Response:
         if not (self.shot > 0 and self.read > 0):
             raise ValueError("its noise is impossible")
 
-    def require(self, camera: dict[str, Any], *, where: object) -> None:
-        """Raise UsageError unless this is the response of a camera as a recording's manifest describes it."""
+    def of_camera(self, camera: dict[str, Any], *, where: object) -> Self:
+        """This response at the black level of its camera, as a recording's manifest describes it.
+
+        Raises UsageError: it is the response of another camera, format, region or gain.
+        """
         pairs = {
             "serial number": (self.serial, camera.get("serial")),
             "pixel format": (self.pixel_format, camera.get("pixel_format")),
@@ -132,6 +137,8 @@ class Response:
         if not isinstance(gain, int | float) or abs(gain - self.gain_db) > GAIN_DB:
             why = f"measured with {self.gain_db:g} dB, recorded with {gain} dB"
             raise UsageError("is the response for another gain", where=where, why=why, remedy="measure it: 'capture flat'")
+        added = float(camera.get("black_level") or 0.0)
+        return replace(self, black=self.black + (added - self.black_level), black_level=added)
 
     def signal(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
         """Values without the black level and without hot pixels, 1 for the largest; (height, width, channels) as `flat`."""

@@ -45,9 +45,12 @@ class CardError:
 def errors(trajectory: Trajectory, rig: str, frames: int) -> list[CardError]:
     """Measure the response with a seed, then take pictures of the card at several brightnesses."""
     found = []
-    with camera_for(rig, trajectory, scene="lens_cap") as covered:
+    with camera_for(rig, trajectory, scene="lens_cap", flat=Path(RADIOMETRY)) as covered:
         dark = statistics(covered, frames, nothing)
-    with camera_for(rig, trajectory, scene="grey_card") as camera, TemporaryDirectory(prefix="koala-colour-") as folder:
+    with (
+        camera_for(rig, trajectory, scene="grey_card", flat=Path(RADIOMETRY)) as camera,
+        TemporaryDirectory(prefix="koala-colour-") as folder,
+    ):
         if not isinstance(camera, SimulatedCamera):
             raise UsageError("only a simulated rig knows the true light", where=rig, remedy="use --rig sim_flawed")
         response = measured(camera.description(), dark, statistics(camera, frames, nothing))
@@ -61,8 +64,7 @@ def errors(trajectory: Trajectory, rig: str, frames: int) -> list[CardError]:
                 image = camera.grab()
                 taken_us.append(image.exposure_us)
                 writer.put([(_frame(number, camera), [image])])
-        response = Response.load(Path(folder) / RADIOMETRY)
-        response.require(camera.description(), where=rig)
+        response = Response.load(Path(folder) / RADIOMETRY).of_camera(camera.description(), where=rig)
         for frame, exposure_us in zip(recording.frames, taken_us, strict=True):
             white = camera.sensor.white(exposure_us, trajectory.camera.gain_db)
             plain = images.linear_from_stored(images.read_stored(recording.image_path(frame)))

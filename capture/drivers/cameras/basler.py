@@ -82,6 +82,7 @@ class Basler(GenicamCamera):
             "binning_gain": self.binning_gain,
             "exposure_us": self._exposure_us,
             "gain_db": self._gain_db,
+            "black_level": self.black_level,
             "pixel_format": self._camera.PixelFormat.Value,
             "state": dict(pairs),
         }

@@ -1,6 +1,7 @@
 """Cameras that follow the GenICam standard: one way to set them up, over whichever library reads their settings."""
 
 import math
+import time
 from abc import abstractmethod
 from collections.abc import Mapping
 from contextlib import suppress
@@ -13,7 +14,7 @@ from koala3d.capture.drivers.cameras import refusals
 from koala3d.capture.drivers.cameras.base import CameraDriver, first_line
 from koala3d.capture.drivers.cameras.nodes import Limits, Nodes, first, put, put_all
 from koala3d.capture.drivers.cameras.pixels import choose_format, colours
-from koala3d.capture.drivers.cameras.start_state import load_default, set_colour_space, set_plain
+from koala3d.capture.drivers.cameras.start_state import load_default, set_colour_space, set_pedestal, set_plain
 from koala3d.capture.drivers.errors import CaptureError, RigConnectionError
 from koala3d.capture.drivers.events import event
 from koala3d.capture.drivers.measurements import Image, Pixels
@@ -27,6 +28,10 @@ EXPOSURES = ("ExposureTime", "ExposureTimeAbs")
 GAINS = ("Gain", "GainAbs")
 CHUNKS = ("ExposureTime", "Gain", "Timestamp")
 """What a camera says of each picture, if it can, by its names in `ChunkSelector`; the value is in Chunk and the name."""
+LATCHES = {"TimestampLatch": "TimestampLatchValue", "GevTimestampControlLatch": "GevTimestampValue"}
+"""Commands that make a camera note the time of its clock, and the setting that then holds it [ticks]."""
+FREQUENCY = "GevTimestampTickFrequency"
+"""Ticks per second of a GigE camera's clock; those of USB cameras are nanoseconds."""
 TRANSFER_S = 3.0  # longest time for an image after its exposure [s]
 TRIES = 4  # attempts to get an undamaged image before the grab fails
 AVERAGE, SUM = "Average", "Sum"
@@ -60,6 +65,30 @@ class Delivery:
     """When the exposure was triggered, on the monotonic clock of the host [ns]."""
     chunks: Mapping[str, float]
     """What the camera sent with the picture, by the names of `CHUNKS`."""
+
+
+def exposed_at(nodes: Nodes, ticks: int, triggered_ns: int) -> int:
+    """When an exposure began on the host's monotonic clock [ns]; at its trigger, if the camera's clock cannot be read.
+
+    Some models begin tens of milliseconds after their trigger. Here the camera's clock is latched between two readings of the
+    host's. A time stamp that would then lie in front of the trigger, or in the future, is of another clock.
+
+    Args:
+        ticks: time stamp of the picture, by the camera's clock; 0 without one.
+        triggered_ns: when it was triggered, by the host's clock.
+    """
+    latch = first(nodes, LATCHES)
+    if latch is None or not ticks:
+        return triggered_ns
+    before_ns = time.monotonic_ns()
+    nodes.write(latch, None)
+    after_ns = time.monotonic_ns()
+    tick_ns = 1e9 / float(nodes.read(FREQUENCY)) if nodes.has(FREQUENCY) else 1.0
+    begun_ns = (before_ns + after_ns) // 2 - round((int(nodes.read(LATCHES[latch])) - ticks) * tick_ns)
+    uncertain_ns = (after_ns - before_ns) // 2
+    if not triggered_ns - uncertain_ns <= begun_ns <= after_ns:
+        return triggered_ns
+    return max(begun_ns, triggered_ns)
 
 
 class GenicamCamera(CameraDriver):
@@ -144,7 +173,8 @@ class GenicamCamera(CameraDriver):
         raw = data.astype(np.uint16) if name.endswith("12") else None
         exposure_us, gain_db = said.get("ExposureTime", self._exposure_us), said.get("Gain", self._gain_db)
         ticks = int(said.get("Timestamp", delivered.ticks))
-        return Image(colours(data, name), exposure_us, gain_db, ticks, delivered.host_time_ns, raw)
+        begun_ns = exposed_at(self.nodes, ticks, delivered.host_time_ns)
+        return Image(colours(data, name), exposure_us, gain_db, ticks, begun_ns, raw)
 
     def _switch_chunks_on(self) -> None:
         """Have the camera send with each picture what it says of it, where it can."""
@@ -199,6 +229,11 @@ class GenicamCamera(CameraDriver):
         """How many times as bright as an unbinned pixel a binned one is, at the same exposure time."""
         return math.prod(int(self._read(name, 1)) for axis, name in BINNING.items() if self.binning_modes[axis] == SUM)
 
+    @property
+    def black_level(self) -> float:
+        """What the camera adds to every value [share of the largest value]; 0 if it counts that in units of its own."""
+        return float(self._read("BlackLevel", 0.0)) / (4095 if self.settings.keeps_raw else 255)
+
     def _configure(self) -> None:
         """Bring the camera to its known state, then to the settings of the trajectory and of the rig file."""
         wanted, nodes, leave, where = self.settings, self.nodes, self.device.leave, self.name
@@ -211,6 +246,8 @@ class GenicamCamera(CameraDriver):
             if nodes.has(automatic):
                 put(nodes, automatic, "Off")
         put(nodes, "PixelFormat", choose_format(wanted.pixel_format, nodes.symbolics("PixelFormat"), where=where))
+        if self.device.radiometry and wanted.keeps_raw:
+            set_pedestal(nodes)
         if "colour_space" not in leave:
             set_colour_space(nodes, encoded=wanted.pixel_format == "rgb8")
         self._set_region()

@@ -58,6 +58,7 @@ class GenTlCamera(GenicamCamera):
             "binning_gain": self.binning_gain,
             "exposure_us": self._exposure_us,
             "gain_db": self._gain_db,
+            "black_level": self.black_level,
             "pixel_format": self.nodes.read("PixelFormat"),
             "left": list(self.device.leave),
             "state": self.nodes.values(),

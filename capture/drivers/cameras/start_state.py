@@ -13,6 +13,8 @@ LINEAR = {"ColorSpace": "RGB", "BslColorSpace": "Off", "BslColorSpaceMode": "RGB
 """Settings that make a camera encode its colours as sRGB, and leave them linear."""
 PRESETS = ("LightSourcePreset", "BslLightSourcePreset")
 BLACK = ("BlackLevel", "BlackLevelRaw")
+PEDESTAL = 64.0
+"""Black level of a camera whose noise is measured, so that the noise of darkness is not cut off at 0 [values of 12 bits]."""
 
 
 def load_default(nodes: Nodes) -> None:
@@ -35,6 +37,12 @@ def set_plain(nodes: Nodes) -> None:
             put(nodes, name, "Off")
     if nodes.has("Gamma"):
         put(nodes, "Gamma", 1.0, tolerance=1e-3)
+
+
+def set_pedestal(nodes: Nodes) -> None:
+    """Raise the black level by `PEDESTAL`; the pixel format has 12 bits. A camera that counts it in units of its own keeps 0."""
+    if nodes.has("BlackLevel"):
+        put(nodes, "BlackLevel", PEDESTAL, tolerance=0.5)
 
 
 def set_colour_space(nodes: Nodes, *, encoded: bool) -> str:

@@ -29,16 +29,15 @@ def known_response(camera: Camera, stored: str, height: int, width: int, channel
     mosaic = pattern_of(name) and name.endswith("12")
     perfect = Response.unmeasured(height, width, (2, 2, 1) if mosaic else (1, 1, channels))
     region = Region.from_json(said["region"], where="camera")
-    return replace(perfect, serial=said["serial"], pixel_format=name, region=region, gain_db=float(said["gain_db"]))
+    about = {"serial": said["serial"], "pixel_format": name, "gain_db": float(said["gain_db"])}
+    return replace(perfect, region=region, **about).of_camera(said, where="camera")
 
 
 def stored_response(camera: Camera, stored: str) -> Response | None:
     """The response in a file of `capture flat`; None without a file. Raises UsageError: it is another camera's."""
     if not stored:
         return None
-    found = Response.load(Path(stored))
-    found.require(camera.description(), where=stored)
-    return found
+    return Response.load(Path(stored)).of_camera(camera.description(), where=stored)
 
 
 def white_balance(camera: Camera, part: Part, stored: str = "") -> Response:

@@ -1,6 +1,7 @@
 """Measures the response of a camera: pictures of darkness, then of an evenly lit grey card."""
 
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +43,8 @@ def measured(said: Mapping[str, Any], dark: Statistics, card: Statistics) -> Res
     """The response of a camera with a description, from statistics of pictures that it took in darkness and of a card."""
     region = Region.from_json(said["region"], where="camera")
     name, gain = said["pixel_format"], float(said["gain_db"])
-    return response(dark, card, serial=said["serial"], pixel_format=name, region=region, gain_db=gain, raw=name.endswith("12"))
+    found = response(dark, card, serial=said["serial"], pixel_format=name, region=region, gain_db=gain, raw=name.endswith("12"))
+    return replace(found, black_level=float(said.get("black_level", 0.0)))
 
 
 def words(found: Response, path: Path) -> str:

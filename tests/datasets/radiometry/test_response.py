@@ -93,9 +93,19 @@ def test_a_changed_file_is_refused(tmp_path: Path):
 def test_another_camera_is_refused(changed, words):
     found = measured("RG", 3)
     camera = {"serial": "42", "pixel_format": "BayerRG12", "region": found.region.to_json(), "gain_db": 1.0}
-    found.require(camera, where="flat.npz")
+    found.of_camera(camera, where="flat.npz")
     with pytest.raises(UsageError, match=words):
-        found.require({**camera, **changed}, where="flat.npz")
+        found.of_camera({**camera, **changed}, where="flat.npz")
+
+
+def test_it_follows_the_black_level_of_the_camera(tmp_path):
+    found = replace(measured("RG", 3), black_level=64 / 4095)
+    found.save(tmp_path / "flat.npz")
+    camera = {"serial": "42", "pixel_format": "BayerRG12", "region": found.region.to_json(), "gain_db": 1.0}
+    there = Response.load(tmp_path / "flat.npz").of_camera({**camera, "black_level": 16 / 4095}, where="flat.npz")
+    np.testing.assert_allclose(there.black, found.black - 48 / 4095)
+    before = Response.load(tmp_path / "flat.npz").of_camera(camera, where="flat.npz")  # cameras did not say it
+    np.testing.assert_allclose(before.black, found.black - 64 / 4095)
 
 
 def test_bad_pictures_are_refused():

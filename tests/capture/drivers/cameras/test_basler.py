@@ -7,11 +7,12 @@ import pytest
 
 from koala3d.capture.drivers.cameras import genicam
 from koala3d.capture.drivers.cameras.basler import Basler, EmulatedNodes, PylonNodes
-from koala3d.capture.drivers.cameras.genicam import TRIES
+from koala3d.capture.drivers.cameras.genicam import TRIES, exposed_at
 from koala3d.capture.drivers.cameras.nodes import Limits
 from koala3d.capture.drivers.errors import CaptureError, RigConnectionError
 from koala3d.capture.model.device import Device
 from koala3d.capture.model.trajectory import CameraSettings
+from koala3d.capture.sim.camera_nodes import TICK_NS, SimulatedNodes
 from koala3d.datasets.imaging import images
 from koala3d.datasets.imaging.region import Region
 
@@ -98,6 +99,19 @@ def test_binned_pixels_are_averaged_by_a_camera_that_can():
         modes = [camera.nodes.read(f"Binning{axis}Mode") for axis in ("Horizontal", "Vertical")]
     assert modes == ["Average", "Average"], "pylon's own default is the sum"
     assert described["binning_modes"] == {"horizontal": "Average", "vertical": "Average"} and described["binning_gain"] == 1
+
+
+@pytest.mark.parametrize(("family", "tick_ns"), [("ace USB", 1), ("ace GigE", TICK_NS)])
+def test_a_picture_is_as_old_as_the_clock_of_the_camera_says(family, tick_ns):
+    """The exposure began 30 ms after its trigger. Emulated pictures have no time stamp, and the emulation has no clock."""
+    with Basler(CameraSettings(), emulated=True).inspected() as found:
+        nodes = SimulatedNodes(found.nodes, family)
+        now = time.monotonic_ns()
+        triggered, begun = now - 60_000_000, now - 30_000_000
+        assert exposed_at(nodes, begun // tick_ns, triggered) == pytest.approx(begun, abs=5e6)
+        assert exposed_at(nodes, begun // tick_ns - 10**9, triggered) == triggered, "another clock"
+        assert exposed_at(nodes, 0, triggered) == triggered
+        assert exposed_at(found.nodes, begun, triggered) == triggered
 
 
 @pytest.mark.parametrize(("binning", "gain", "exposure_us"), [(1, 1, 1995), (4, 4, 490)])

@@ -38,9 +38,14 @@ def recorded(tmp_path_factory) -> tuple[Path, Path]:
     """A recording of the card with a bracket of 12 bits, and the flat field that it refers to."""
     folder = tmp_path_factory.mktemp("recorded")
     trajectory = session("bayer12", "camera.brackets=2", "camera.exposure_us=30000", "camera.bracket_factor=6")
-    with camera_for("sim_flawed", trajectory.model_copy(update={"camera": session("bayer12").camera}), scene="lens_cap") as dark:
+    with camera_for(
+        "sim_flawed",
+        trajectory.model_copy(update={"camera": session("bayer12").camera}),
+        scene="lens_cap",
+        flat=folder / "flat.npz",
+    ) as dark:
         black = statistics(dark, 8, nothing)
-    with camera_for("sim_flawed", session("bayer12"), scene="grey_card") as camera:
+    with camera_for("sim_flawed", session("bayer12"), scene="grey_card", flat=folder / "flat.npz") as camera:
         measured(camera.description(), black, statistics(camera, 8, nothing)).save(folder / "flat.npz")
     options = {"scene": "grey_card", "seed": 0, "time_scale": 200.0, "radiometry": folder / "flat.npz"}
     with open_rig("sim_flawed", trajectory, **options) as rig:
@@ -72,6 +77,20 @@ def test_a_recording_holds_raw_values_and_the_flat_field(recorded):
         assert raw.shape == (64, 96, 1) and (raw & 15 == raw >> 12).all()  # 12 bits, repeated below
     assert files.read_json(path / "truth" / "poses.json")["flaws"]["black_level"] == 0.016
     assert not [finding for finding in check(path) if "exposure" in finding.what and "over" not in finding.what]
+
+
+def test_darkness_stays_above_zero_while_noise_is_measured(recorded, tmp_path):
+    """A camera without a black level cuts off half of the noise of darkness; `sim` is one."""
+    trajectory = session("bayer12")
+    with camera_for("sim", trajectory, scene="lens_cap", flat=tmp_path / "flat.npz") as camera:
+        dark, sensor, sites = statistics(camera, 8, nothing), camera.sensor, trajectory.camera.binning**2
+        assert camera.description()["black_level"] == 64 / 4095
+    variance = (sensor.read_noise / sensor.full_well) ** 2 / sites + 1 / 12 / 4095**2  # of reading, and of whole numbers
+    assert dark.variance.mean() == pytest.approx(variance, rel=0.05)
+    assert dark.mean.min() > 0.01
+    assert Recording.open(recorded[0]).part("camera")["black_level"] == 64 / 4095  # a session with a response keeps it
+    with camera_for("sim", session("rgb8"), scene="lens_cap", flat=tmp_path / "flat.npz") as camera:
+        assert camera.description()["black_level"] == 0  # it would be added to sRGB
 
 
 def test_a_damaged_raw_picture_is_found(recorded, tmp_path):

@@ -85,7 +85,7 @@ def test_a_stored_balance_belongs_to_its_camera(tmp_path):
     with camera_for("sim_flawed", session, scene="grey_card") as camera:
         found = white_balance(camera, Part.middle(64, 48))
         found.save(tmp_path / "balance.npz")
-        Response.load(tmp_path / "balance.npz").require(camera.description(), where="balance.npz")
+        Response.load(tmp_path / "balance.npz").of_camera(camera.description(), where="balance.npz")
         again = white_balance(camera, Part.middle(64, 48), str(tmp_path / "balance.npz"))
     # without a black level, 1.6 % of white are counted as light: (0.6 + 0.016) / (0.62 * 0.6 + 0.016)
     np.testing.assert_allclose(found.balance.ravel(), [1.588, 1, 1, 1.339], rtol=0.01)
