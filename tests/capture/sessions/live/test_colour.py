@@ -132,6 +132,22 @@ def test_a_flat_field_of_another_camera_is_refused_before_anything_moves(recorde
     assert not (tmp_path / "rec").exists()
 
 
+def test_a_session_with_a_response_is_not_resumed_without_one(recorded, tmp_path):
+    """The camera would no longer keep its black level, and the response would be wrong for the rest."""
+    import shutil
+
+    shutil.copytree(recorded[0], tmp_path / "copy")
+    Recording.open(tmp_path / "copy").discard(["001"])
+    trajectory = session("bayer12", "camera.brackets=2", "camera.exposure_us=30000", "camera.bracket_factor=6")
+    options = {"scene": "grey_card", "seed": 0, "time_scale": 200.0}
+    with open_rig("sim_flawed", trajectory, **options) as rig:
+        with pytest.raises(UsageError, match=r"another black level .1\.56 % .*now 0\.00 %.*--radiometry .*radiometry\.npz"):
+            record(trajectory, rig, tmp_path / "copy", resume=True)
+    with open_rig("sim_flawed", trajectory, **options, radiometry=tmp_path / "copy" / "radiometry.npz") as rig:
+        record(trajectory, rig, tmp_path / "copy", resume=True)
+    assert len(Recording.open(tmp_path / "copy").frames) == 2
+
+
 def test_a_changed_flat_field_is_refused(recorded, calibration, tmp_path):
     import shutil
 
