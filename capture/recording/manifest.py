@@ -9,6 +9,7 @@ from koala3d.capture.model.rig import InstallationDescription, RigDescription, R
 from koala3d.capture.model.trajectory import Trajectory, recorded_trajectory
 from koala3d.capture.rig.rig import Rig
 from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.radiometry.response import added_black
 from koala3d.datasets.recording import RADIOMETRY, Recording
 
 DEVICES = (
@@ -80,7 +81,7 @@ def require_same_session(recording: Recording, trajectory: Trajectory, rig: Rig)
 
 def _require_same_black(recording: Recording, camera: dict[str, Any]) -> None:
     """Raise UsageError if the camera adds another black level than it did: it keeps one in sessions with a response."""
-    was, new = (float(said.get("black_level") or 0.0) for said in (recording.part("camera"), camera))
+    was, new = added_black(recording.part("camera")), added_black(camera)
     if was != new:
         given = f"resume with --radiometry {recording.path / RADIOMETRY}" if was else "resume without --radiometry"
         why = f"{100 * was:.2f} % of the largest value, now {100 * new:.2f} %"

@@ -22,6 +22,7 @@ from koala3d.capture.sim.realsense_device import BASELINE_M, UNIT_M, SoftwareRea
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.imaging import images
 from koala3d.datasets.imaging.region import Region
+from koala3d.datasets.radiometry.response import added_black
 
 STEREO_BASELINE_M = 0.05
 """Between the infrared sensors of a D435."""
@@ -77,7 +78,7 @@ class Emulated(ABC):
     @property
     def black_level(self) -> float:
         """What the camera adds to every value by its settings [share of the largest value]."""
-        return float(self._driver.description().get("black_level", 0.0))
+        return added_black(self._driver.description())
 
     def description(self) -> dict[str, Any]:
         """See `capture.drivers.protocols.Camera`."""

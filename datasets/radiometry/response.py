@@ -8,6 +8,7 @@ or the whole of a grey one. A value for each plane is an array (period, period, 
 
 import hashlib
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
@@ -137,7 +138,7 @@ class Response:
         if not isinstance(gain, int | float) or abs(gain - self.gain_db) > GAIN_DB:
             why = f"measured with {self.gain_db:g} dB, recorded with {gain} dB"
             raise UsageError("is the response for another gain", where=where, why=why, remedy="measure it: 'capture flat'")
-        added = float(camera.get("black_level") or 0.0)
+        added = added_black(camera)
         return replace(self, black=self.black + (added - self.black_level), black_level=added)
 
     def signal(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -168,6 +169,11 @@ class Response:
         middle = np.ma.median(near, axis=1).filled(0)
         mended[self.hot[usable, 0], self.hot[usable, 1]] = middle[usable]
         return mended
+
+
+def added_black(camera: Mapping[str, Any]) -> float:
+    """What a camera's description says that a setting adds to every value [share of the largest value]; 0 if it does not say."""
+    return float(camera.get("black_level") or 0.0)
 
 
 def _digest(parts: dict[str, NDArray[Any]]) -> str:

@@ -19,7 +19,8 @@ def test_a_grey_card_is_grey_and_even(pixel_format):
     found = errors(session(pixel_format, *corner), "sim_flawed", 8)
     coloured = pixel_format != "mono12"
     assert max(one.uneven_before for one in found) > 0.1  # the premise
-    assert not coloured or min(one.colour_before for one in found) > 0.05  # the black level pales the darkest card
+    least = 0.09 if pixel_format == "bayer12" else 0.1  # its black level pales the darkest card
+    assert not coloured or min(one.colour_before for one in found) > least
     assert max(one.colour for one in found) < 0.01 and max(one.uneven for one in found) < 0.01
     levels = [one.level for one in found]
     assert 0.5 < min(levels) and max(levels) / min(levels) < 1.02  # dark by the vignetting of the region's middle, and linear

@@ -12,7 +12,7 @@ from koala3d.capture.drivers.measurements import Image
 from koala3d.capture.drivers.protocols import Camera, GroundTruth
 from koala3d.datasets.imaging.region import Region
 from koala3d.datasets.radiometry.measure import Statistics, response
-from koala3d.datasets.radiometry.response import Response
+from koala3d.datasets.radiometry.response import Response, added_black
 from koala3d.datasets.radiometry.stored import linear, packed
 
 Advance = Callable[[], None]
@@ -44,7 +44,7 @@ def measured(said: Mapping[str, Any], dark: Statistics, card: Statistics) -> Res
     region = Region.from_json(said["region"], where="camera")
     name, gain = said["pixel_format"], float(said["gain_db"])
     found = response(dark, card, serial=said["serial"], pixel_format=name, region=region, gain_db=gain, raw=name.endswith("12"))
-    return replace(found, black_level=float(said.get("black_level", 0.0)))
+    return replace(found, black_level=added_black(said))
 
 
 def words(found: Response, path: Path) -> str:
