@@ -16,6 +16,7 @@ from koala3d.calib.handeye import (
     credible,
     flatness,
     flips,
+    latency,
     links,
     misread,
     mistakes,
@@ -26,6 +27,7 @@ from koala3d.calib.handeye import (
     uncertainty,
     verify,
 )
+from koala3d.calib.handeye.latency import Latency
 from koala3d.calib.handeye.model import Accuracy, Measurements, State
 from koala3d.calib.handeye.refine import Refined
 from koala3d.calib.intrinsics import estimate, fitting, lenses, projection, splined
@@ -40,6 +42,7 @@ from koala3d.datasets.residuals import Correlation, Residuals
 CORNERS_PER_VIEW = 4  # fewest corners of a session whose camera is known: one tag in each view
 MAX_DISTANCE_M = 1e7
 STATED = Accuracy()  # accuracy that is assumed of a UR5e
+LATENCY_ROUNDS, LATENCY_SETTLED = 5, 0.1  # a latency that moves by less than this share of its standard deviation is settled
 
 
 def calibrate_intrinsics(session: TargetSession, lens: str = "auto") -> Calibration:
@@ -94,7 +97,8 @@ def calibrate_handeye(
         TargetError, Unobservable, CalibrationError: too few views, motion that leaves something undetermined, no fit.
         UsageError: `given` is for images of another size.
     """
-    return finished(solve(session, given, accuracy, lens), accuracy, given is not None, allow_m)
+    found = solve if session.clocked is None else solve_clocked
+    return finished(found(session, given, accuracy, lens), accuracy, given is not None, allow_m)
 
 
 @dataclass(frozen=True)
@@ -118,6 +122,7 @@ class Solution:
     closed: closed_forms.HandEye
     keep: Mask  # (views,) which views of `first` the closed form agrees with
     fit: outliers.Fit
+    latency: Latency | None = None  # of the pictures' time stamps, where it was measured
 
     @property
     def left_out(self) -> dict[str, str]:
@@ -130,11 +135,38 @@ def solve(session: TargetSession, given: Calibration | None = None, accuracy: Ac
     """All stages up to the refinement; arguments and errors are those of `calibrate_handeye`."""
     _check_poses(session)
     links.check(session, accuracy)
+    return _solve_from(first_stage(session, given, lens), accuracy)
+
+
+def solve_clocked(
+    session: TargetSession, given: Calibration | None = None, accuracy: Accuracy = STATED, lens: str = "auto"
+) -> Solution:
+    """As `solve`, with the latency of the pictures' time stamps.
+
+    Views of a resting arm do not depend on it. Those of a moving one get the poses at their exposures, again until the latency
+    stays.
+    """
+    assert session.clocked is not None
+    _check_poses(session)
+    links.check(session, accuracy)
     first = first_stage(session, given, lens)
+    start = latency.guess(first.session, first.camera)
+    for _ in range(LATENCY_ROUNDS):
+        at_exposure = first if session.clocked.halts else replace(first, session=latency.at_exposure(first.session, start))
+        solution = _solve_from(at_exposure, accuracy)
+        found = latency.find(solution.fit, first.free, start)
+        if found is None or session.clocked.halts or abs(found.seconds - start) < LATENCY_SETTLED * found.std:
+            break
+        start = found.seconds
+    return replace(solution, latency=found)
+
+
+def _solve_from(first: First, accuracy: Accuracy) -> Solution:
+    """The stages from the first on."""
     boards = estimate.camera_from_boards(first.camera, first.session.observations)
     misread.explain(first.session, boards)
     names = [observation.name for observation in first.session.observations]
-    order.explain(first.session.stand_from_mount, flips.readings(first.session, boards), names, list(session.images) or None)
+    order.explain(first.session.stand_from_mount, flips.readings(first.session, boards), names, list(first.session.images) or None)
     chosen, boards = flips.resolve(first.session, boards)
     first = replace(first, session=chosen)
     closed, keep = _closed_form(first.session, boards)
@@ -216,7 +248,9 @@ def described(solution: Solution, arm: repeating.Repeating, accuracy: Accuracy, 
     """The calibration of a solution and what is known of the arm, the covariance among it."""
     first, closed, fit, left_out = solution.first, solution.closed, solution.fit, solution.left_out
     session, measured, refined = fit.session, fit.measured, fit.refined
-    covariance = uncertainty.checked(measured, refined, arm.covariance, allow_m)
+    late = solution.latency
+    covariance = arm.covariance if late is None else arm.covariance + late.spread()
+    covariance = uncertainty.checked(measured, refined, covariance, allow_m)
     camera_pose, board_pose = uncertainty.poses(measured, refined, covariance)
     free, link_errors = first.free, links.found(measured, refined, covariance)
     seems = flatness.asked_for(measured, refined)
@@ -240,6 +274,7 @@ def described(solution: Solution, arm: repeating.Repeating, accuracy: Accuracy, 
         target_seems=None if seems is None else seems.tolist(),
         **surface.facts(measured, refined, covariance),
         **(links.facts(measured, refined, link_errors) if link_errors is not None else {}),
+        **({} if late is None else late.facts()),
     )
     credible.check(residuals, accuracy)
     provenance = {

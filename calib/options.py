@@ -134,6 +134,13 @@ class Pictures:
     description: Import = None
     leave_out: LeaveOut = False
 
+    def __post_init__(self) -> None:
+        """Of a ROS bag, take the recording that is made of it."""
+        if self.description is None:
+            from koala3d.datasets.bags.command import opened
+
+            object.__setattr__(self, "recording", opened(self.recording))
+
     def observe(self, board: "Board | None" = None) -> "tuple[TargetSession, Calibration | None]":
         """Find the target, or `board`, in every image, with a progress bar; and the camera that an imported session brings."""
         from koala3d.calib.sessions.importer import count_views, observe_folder

@@ -7,6 +7,7 @@
     RECORDING/depth/*.png      of cameras that measure depth: 16 bits, see `DEPTH_KEYS`; a measurement, not truth
     RECORDING/session.log      what happened, one line per event; see `capture.recording.session_log`
     RECORDING/radiometry.npz   where it was measured: the response of the sensor, see `datasets.radiometry.response`
+    RECORDING/track.npz        of a ROS bag only: the path of the flange, see `datasets.track`
     RECORDING/truth/           of a simulation only; read by evaluation and nothing else
 
 A frame counts once its line is complete; an image without a line is recorded again on resume.
@@ -31,6 +32,8 @@ from koala3d.datasets.kinematics import UR5E, Links
 from koala3d.datasets.radiometry.response import Response
 from koala3d.datasets.radiometry.stored import LARGEST, DepthPicture, Exposure
 from koala3d.datasets.scene import checked_name
+from koala3d.datasets.track import FILE as TRACK
+from koala3d.datasets.track import Track
 
 FORMAT, VERSION = "koala-recording", 1
 MAX_BYTES = 2**28
@@ -43,6 +46,9 @@ MANIFEST, FRAMES, IMAGES, TRUTH = "manifest.json", "frames.jsonl", "images", "tr
 RADIOMETRY = "radiometry.npz"
 CHOSEN = "chosen"
 """Part of the manifest of a session that chose its own views; see `chosen_views`."""
+BAG, MOVING = "bag", "moving"
+"""Part of the manifest of a recording that was made of a ROS bag (`datasets.bags`), and the split of pictures of a moving arm that
+only tell how late time stamps are."""
 DEPTH = "depth"
 DEPTH_KEYS = ("unit_m", "camera", "distortion", "camera_from_depth")
 """What the manifest's camera says in its part `depth`: metres per step along z (0 is none measured), the intrinsics of the depth
@@ -282,6 +288,16 @@ class Recording:
         """The region of the sensor that the images show; None where the manifest does not say it."""
         content = self.part("camera").get("region")
         return None if content is None else Region.from_json(content, where=f"{self.path / MANIFEST}, camera, region")
+
+    @property
+    def is_of_a_bag(self) -> bool:
+        """Whether it was made of a ROS bag: joint angles and exposures are not known then, and the path of the flange is."""
+        return BAG in self.manifest
+
+    @property
+    def track(self) -> Track | None:
+        """The path of the flange, if it was made of a ROS bag."""
+        return Track.load(self.path / TRACK) if self.is_of_a_bag else None
 
     def image_path(self, frame: Frame) -> Path:
         """Path of a frame's image."""

@@ -93,6 +93,13 @@ class Residuals:
     """Of the intrinsics."""
     rig_correlation: Correlation | None = None
     """Of everything that was estimated."""
+    latency_s: float | None = None
+    """How much later the pictures' time stamps are than their exposures on the clock of the poses; of ROS bags."""
+    latency_std_s: float | None = None
+    latency_pictures: int | None = None
+    """Pictures of a moving arm from which it was estimated."""
+    latency_px_per_ms: float | None = None
+    """How far the target moves in these pictures in a millisecond: so much is lost to each millisecond of latency and exposure."""
     turntable: dict[str, Any] | None = None
     """How the axis of a turntable was found."""
 

@@ -56,6 +56,10 @@ def describe_calibration(calibration: Calibration) -> str:
         stop = f"{residuals.arm_stop_mm:.3f} mm, {residuals.arm_stop_deg:.4f} deg"
         of_links = f"{residuals.arm_links_mm:.2f} mm, {residuals.arm_links_deg:.3f} deg"
         lines.append(f"  of these          {stop} at each stop; the rest repeats, like links that are off by {of_links}")
+    if residuals.latency_s is not None and residuals.latency_std_s is not None:
+        late = f"{1e3 * residuals.latency_s:.2f} ± {1e3 * residuals.latency_std_s:.2f} ms by {residuals.latency_pictures} pictures"
+        lines.append(f"latency             {late} of a moving arm: stamps are so much later than exposures by the poses' clock")
+        lines.append(f"  there             the target moves by {residuals.latency_px_per_ms:.2f} px each ms, which blurs it so much too")
     lines.append(f"views used          {residuals.views_used}, corners in {residuals.coverage:.0%} of the image")
     lines += [f"note: {note}" for note in notes(calibration)]
     return "\n".join(lines)
@@ -105,6 +109,11 @@ def notes(calibration: Calibration) -> list[str]:
         found.append(f"{share:.0%} of the corners are left out; check poses, target and sharpness of the views that lost most")
     if residuals.arm_translation_mm is not None and residuals.held_out_px is None:
         found.append("there is no error on unseen views: without a fifth of the views the rest could not be fitted")
+    bag = calibration.provenance.get("bag")
+    if isinstance(bag, dict):
+        found += map(str, bag.get("notes") or ())
+        if residuals.latency_s is None:
+            found.append("latency of the pictures is not known: too few show the target while the arm moves")
     return [*found, *_arm_notes(calibration)]
 
 

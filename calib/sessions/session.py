@@ -18,8 +18,9 @@ from koala3d.datasets.core import files
 from koala3d.datasets.imaging import images
 from koala3d.datasets.imaging.region import Region
 from koala3d.datasets.kinematics import UR5E, Links
-from koala3d.datasets.recording import FRAMES, MANIFEST, Recording
+from koala3d.datasets.recording import BAG, FRAMES, MANIFEST, MOVING, Recording
 from koala3d.datasets.targets.board import Board
+from koala3d.datasets.track import Track
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +30,21 @@ class Reading:
     kind: str  # for instance: Euler angles ZYX in degrees
     description: str  # what would have to be said for that
     base_from_flange: Array  # (views, 4, 4)
+
+
+@dataclass(frozen=True, eq=False)
+class Clocked:
+    """Pictures on a clock of their own beside the path of the flange: how late their stamps are can be measured."""
+
+    track: Track
+    stamps_ns: NDArray[np.int64]  # (views,) of the session's views
+    moving: tuple[Observation, ...] = ()  # of a moving arm between halts, which take no part in anything else
+    moving_ns: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    halts: bool = True  # whether the views are of a resting arm: then their poses do not depend on the latency
+
+    def chosen(self, rows: list[int]) -> Self:
+        """The same of some of the session's views."""
+        return replace(self, stamps_ns=self.stamps_ns[rows])
 
 
 @dataclass(frozen=True)
@@ -51,6 +67,7 @@ class TargetSession:
     readings: tuple[
         Reading, ...
     ] = ()  # other ways to read the numbers of the poses, where they came from a file of another program
+    clocked: Clocked | None = None  # the clocks of pictures and poses, where the session came from a ROS bag
 
     @property
     def stand_from_mount(self) -> Array:
@@ -68,7 +85,8 @@ class TargetSession:
         joints = None if self.joints is None else self.joints[rows]
         readings = tuple(replace(one, base_from_flange=one.base_from_flange[rows]) for one in self.readings)
         chosen = {"observations": tuple(observations), "base_from_flange": self.base_from_flange[rows]}
-        return replace(self, **chosen, joints=joints, readings=readings)
+        clocked = None if self.clocked is None else self.clocked.chosen(rows)
+        return replace(self, **chosen, joints=joints, readings=readings, clocked=clocked)
 
 
 def grey(picture: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -125,21 +143,38 @@ def observe_recording(
     """Find the target of a recording in its frames, or another `board`. Nothing under its truth folder is read."""
     recording = Recording.open(path)
     board = board or read_board(recording.manifest.get("board"), where=f"{Path(path) / MANIFEST}, board")
-    views = [(f.name, recording.image_path(f), f.base_from_flange) for f in recording.frames]  # paths are checked on opening
+    frames = [frame for frame in recording.frames if frame.split != MOVING]
+    views = [(f.name, recording.image_path(f), f.base_from_flange) for f in frames]  # paths are checked on opening
     if not views:
         raise TargetError("recording holds no frames", where=path, remedy="finish it with 'capture run --resume'")
     beside = recording.manifest.get("eye_to_hand") is True
     session = observe(board, views, provenance=provenance_of(path, board), seen=seen, eye_to_hand=beside)
-    joints = {frame.name: frame.joints for frame in recording.frames}
+    if recording.is_of_a_bag:
+        return replace(session, clocked=_clocked(recording, board, session, seen))
+    joints = {frame.name: frame.joints for frame in frames}
     region = Region.of_recording(recording.manifest, where=recording.path / MANIFEST)
     angles = np.stack([joints[o.name] for o in session.observations])
     return replace(session, region=region, joints=angles, links=recording.links)
 
 
+def _clocked(recording: Recording, board: Board, session: TargetSession, seen: Callable[[str], None]) -> Clocked:
+    """The clocks of a recording that was made of a ROS bag, and the target in the pictures of its moving arm."""
+    found, stamps = [], {frame.name: frame.host_time_ns for frame in recording.frames}
+    for frame in recording.frames:
+        if frame.split == MOVING:
+            observation = detect(board, grey(images.read(recording.image_path(frame))), frame.name)
+            found += [] if observation is None else [observation]
+            seen(f"moving {frame.name}: {0 if observation is None else len(observation.ids)} corners")
+    own, moving = (np.array([stamps[o.name] for o in some], np.int64) for some in (session.observations, found))
+    return Clocked(recording.track, own, tuple(found), moving, recording.part(BAG).get("halts") is True)
+
+
 def provenance_of(path: Path, board: Board) -> dict[str, Any]:
     """Where the measurements of a recording come from, for the calibration file."""
+    bag = files.read_json(Path(path) / MANIFEST).get(BAG) or {}
     return {
-        "recording": str(Path(path).resolve()),
+        "recording": bag.get("path") or str(Path(path).resolve()),
+        **({"bag": {key: bag.get(key) for key in ("base", "flange", "topic", "notes")}} if bag else {}),
         "frames_sha256": files.sha256(Path(path) / FRAMES),
         "board": board.to_json(),
         "software": {"koala-capture": version("koala-capture"), "opencv": version("opencv-contrib-python-headless")},

@@ -17,6 +17,7 @@ EXTRAS = {
     "genicam": "genicam",
     "pyrealsense2": "realsense",
     "gphoto2": "gphoto2",
+    "rosbags": "ros",
 }
 """Module to the extra of pyproject.toml that brings it."""
 

@@ -1,0 +1,89 @@
+"""A hand-eye session in a ROS bag gives what the session itself gives, and how late the pictures are."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from koala3d.calib import cli
+from koala3d.calib.calibrate import calibrate_handeye
+from koala3d.calib.sessions.session import observe_recording
+from koala3d.datasets import pose
+from koala3d.datasets.bags.recorded import recording_of
+from koala3d.datasets.calibration import Calibration
+from koala3d.datasets.core import files
+from koala3d.datasets.imaging import images
+from koala3d.datasets.recording import Recording
+from tests import bags
+
+REST_S, MOVE_S, LATE_S = 1.0, 1.0, 0.020
+
+
+def in_motion(session, photograph, board, base_from_board, camera, seconds, seed=0):
+    """(n,) pictures of a moving arm at times of its way, exposed for 4 ms."""
+    rng = np.random.default_rng(seed)
+    flanges = session.taken @ pose.inverse(session.flange_from_camera)
+    found = []
+    for moment in seconds:
+        exposed = bags.at(flanges, moment + np.array([-0.002, 0.0, 0.002]), REST_S, MOVE_S) @ session.flange_from_camera
+        grey = np.mean([photograph(board, camera, pose.inverse(one) @ base_from_board, rng=rng, samples=2) for one in exposed], 0)
+        found.append(np.rint(255 * grey).astype(np.uint8))
+    return found
+
+
+@pytest.fixture(scope="module")
+def halting(tmp_path_factory, make_recording, photograph):
+    """(recording, kind to bag) of the session of 12 views, with pictures of the motion between them that are 20 ms late."""
+    home = tmp_path_factory.mktemp("bags")
+    session = make_recording(home / "recording", seed=5)
+    recording = Recording.open(home / "recording")
+    board, base_from_board = session.board, session.base_from_board
+    camera = session.camera
+    moments = np.concatenate([k * (REST_S + MOVE_S) + REST_S + MOVE_S * np.arange(0.15, 0.9, 0.15) for k in range(11)])
+    moving = in_motion(session, photograph, board, base_from_board, camera, moments)
+    still = {}
+    for k, frame in enumerate(recording.frames):
+        picture = np.rint(255 * images.read(recording.image_path(frame))).astype(np.uint8)
+        still |= {k * (REST_S + MOVE_S) + offset: picture for offset in (0.3, 0.5, 0.7)}
+    pictures = sorted([*still.items(), *((m, np.repeat(p[..., None], 3, -1)) for m, p in zip(moments, moving, strict=True))], key=lambda x: x[0])
+    times, poses = bags.way(session.reported, REST_S, MOVE_S, 125)
+
+    def write(kind: str) -> Path:
+        path = home / {"ros1": "session.bag"}.get(kind, kind)
+        with bags.writing(path, kind) as bag:
+            messages = [(t, "tf", p) for t, p in zip(times, poses, strict=True)] + [(t, "picture", p) for t, p in pictures]
+            for t, what, content in sorted(messages, key=lambda one: one[0]):
+                stamp = bags.START_NS + round(1e9 * t)
+                if what == "tf":
+                    bag.transform("/tf", stamp, "base_link", "tool0", content)
+                else:
+                    bag.picture("/camera/image_raw", stamp + round(1e9 * LATE_S), content, "rgb8")
+                    bag.camera_info("/camera/camera_info", stamp + round(1e9 * LATE_S), camera)
+        return path
+
+    return home / "recording", write, session
+
+
+def same(found: Calibration, wanted: Calibration) -> float:
+    """Largest difference of the two poses and the camera in standard deviations of the wanted."""
+    worst = 0.0
+    for name in ("flange_from_camera", "base_from_board"):
+        one, other = getattr(found, name), getattr(wanted, name)
+        shift = 1e3 * np.abs(one.matrix[:3, 3] - other.matrix[:3, 3]) / other.translation_std_mm
+        turn = np.rad2deg(np.abs(pose.rotation_vector(pose.inverse(other.matrix) @ one.matrix))) / other.rotation_std_deg
+        worst = max(worst, shift.max(), turn.max())
+    differences = [abs(getattr(found.camera, name) - getattr(wanted.camera, name)) / std for name, std in wanted.camera_std.items()]
+    return max(worst, *differences)
+
+
+@pytest.mark.parametrize("kind", bags.KINDS)
+def test_a_bag_gives_the_calibration_of_its_session_and_the_latency(halting, kind, tmp_path, monkeypatch) -> None:
+    monkeypatch.setenv("KOALA_CACHE", str(tmp_path / "cache"))
+    recording, write, session = halting
+    wanted = calibrate_handeye(observe_recording(recording))
+    found = calibrate_handeye(observe_recording(recording_of(write(kind)), session.board))
+    assert found.residuals.views_used == wanted.residuals.views_used == 12
+    assert same(found, wanted) < 0.1
+    late = found.residuals
+    assert late.latency_s == pytest.approx(LATE_S, abs=min(0.002, 4 * late.latency_std_s))
+    assert late.latency_std_s < 0.001 and late.latency_pictures >= 20
