@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 
 from koala3d.calib.arrays import Array, Mask
+from koala3d.calib.clocks import latency
+from koala3d.calib.clocks.latency import Latency
 from koala3d.calib.errors import CalibrationError
 from koala3d.calib.handeye import (
     closed_forms,
     credible,
     flatness,
     flips,
-    latency,
     links,
     misread,
     mistakes,
@@ -27,7 +28,6 @@ from koala3d.calib.handeye import (
     uncertainty,
     verify,
 )
-from koala3d.calib.handeye.latency import Latency
 from koala3d.calib.handeye.model import Accuracy, Measurements, State
 from koala3d.calib.handeye.refine import Refined
 from koala3d.calib.intrinsics import estimate, fitting, lenses, projection, splined
@@ -166,7 +166,9 @@ def _solve_from(first: First, accuracy: Accuracy) -> Solution:
     boards = estimate.camera_from_boards(first.camera, first.session.observations)
     misread.explain(first.session, boards)
     names = [observation.name for observation in first.session.observations]
-    order.explain(first.session.stand_from_mount, flips.readings(first.session, boards), names, list(first.session.images) or None)
+    order.explain(
+        first.session.stand_from_mount, flips.readings(first.session, boards), names, list(first.session.images) or None
+    )
     chosen, boards = flips.resolve(first.session, boards)
     first = replace(first, session=chosen)
     closed, keep = _closed_form(first.session, boards)

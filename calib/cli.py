@@ -55,7 +55,7 @@ def intrinsics_command(pictures: Pictures, out: Out, lens: Lens = "auto", json: 
 def handeye_command(
     recordings: Annotated[
         list[Path],
-        Argument(metavar="RECORDING", help="Folders made by 'capture run' with one camera and a calibration target in view."),
+        Argument(metavar="RECORDING", help="Folders made by 'capture run', or ROS bags, with one camera and a target in view."),
     ],
     out: Out,
     arm: Arm,

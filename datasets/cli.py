@@ -32,7 +32,7 @@ def _formats(incomplete: str) -> list[str]:
 
 @app.command(panel=MAIN)
 def build(
-    recording: Annotated[Path, typer.Argument(help="Folder written by 'capture run'.")],
+    recording: Annotated[Path, typer.Argument(help="Folder written by 'capture run', or a ROS bag.")],
     calibration: Annotated[Path, typer.Option(help="File written by 'calib handeye'.")],
     out: OutFolder,
     sizes: Sizes = "",
@@ -53,10 +53,12 @@ def build(
 
     If each view was taken under several sets of lamps, the folder holds a scene for each set.
     """
+    from koala3d.datasets.bags.command import opened
     from koala3d.datasets.building.build import build_under_lamps
     from koala3d.datasets.checks.check import summary
     from koala3d.datasets.recording import Recording
 
+    recording = opened(recording)
     with console.progress("building", len(Recording.open(recording).frames), "frames") as shown:
         options: dict[str, Any] = {"sizes": _numbers(sizes), "radiometry": radiometry, "white": white}
         scenes = build_under_lamps(recording, calibration, out, **options, done=shown.advance)

@@ -47,8 +47,8 @@ RADIOMETRY = "radiometry.npz"
 CHOSEN = "chosen"
 """Part of the manifest of a session that chose its own views; see `chosen_views`."""
 BAG, MOVING = "bag", "moving"
-"""Part of the manifest of a recording that was made of a ROS bag (`datasets.bags`), and the split of pictures of a moving arm that
-only tell how late time stamps are."""
+"""Part of the manifest of a recording that was made of a ROS bag (`datasets.bags`), and the split of pictures of a moving arm,
+which only tell how late time stamps are."""
 DEPTH = "depth"
 DEPTH_KEYS = ("unit_m", "camera", "distortion", "camera_from_depth")
 """What the manifest's camera says in its part `depth`: metres per step along z (0 is none measured), the intrinsics of the depth

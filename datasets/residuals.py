@@ -99,7 +99,7 @@ class Residuals:
     latency_pictures: int | None = None
     """Pictures of a moving arm from which it was estimated."""
     latency_px_per_ms: float | None = None
-    """How far the target moves in these pictures in a millisecond: so much is lost to each millisecond of latency and exposure."""
+    """How far the target moves in these pictures in a millisecond of latency, and how far an exposure of one blurs it."""
     turntable: dict[str, Any] | None = None
     """How the axis of a turntable was found."""
 

@@ -19,6 +19,8 @@ from koala3d.datasets.core.errors import DatasetError
 Array = NDArray[np.float64]
 HALF_STEP_S = 0.01
 """Speeds are those over twice this time [s]: a few reports of an arm, so that their noise averages out."""
+SPEEDS = "speeds"
+"""Part of a scene's provenance: (6,) speed of the camera in its own axes at each view [m/s, rad/s], if the arm never halts."""
 FILE, LARGEST_BYTES = "track.npz", 2**30
 """Name of the file of a recording, and its largest size."""
 

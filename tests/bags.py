@@ -47,7 +47,9 @@ class Writer:
         height, width = picture.shape[:2]
         rows = np.ascontiguousarray(picture).view(np.uint8).reshape(height, -1)
         size = {"height": height, "width": width, "step": rows.shape[1], "is_bigendian": 0}
-        message = self.message("sensor_msgs/Image", header=self.header(stamp_ns, "camera"), encoding=encoding, data=rows.ravel(), **size)
+        message = self.message(
+            "sensor_msgs/Image", header=self.header(stamp_ns, "camera"), encoding=encoding, data=rows.ravel(), **size
+        )
         self.write(topic, arrived_ns or stamp_ns, message)
 
     def compressed(self, topic: str, stamp_ns: int, data: bytes, kind: str) -> None:
@@ -58,7 +60,9 @@ class Writer:
         w, x, y, z = map(float, pose.quaternion(parent_from_child))
         rotation = self.message("geometry_msgs/Quaternion", x=x, y=y, z=z, w=w)
         place = dict(zip("xyz", map(float, parent_from_child[:3, 3]), strict=True))
-        moved = self.message("geometry_msgs/Transform", translation=self.message("geometry_msgs/Vector3", **place), rotation=rotation)
+        moved = self.message(
+            "geometry_msgs/Transform", translation=self.message("geometry_msgs/Vector3", **place), rotation=rotation
+        )
         header = self.header(stamp_ns, parent)
         one = self.message("geometry_msgs/TransformStamped", header=header, child_frame_id=child, transform=moved)
         self.write(topic, stamp_ns, self.message("tf2_msgs/TFMessage", transforms=[one]))

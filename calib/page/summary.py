@@ -57,9 +57,13 @@ def describe_calibration(calibration: Calibration) -> str:
         of_links = f"{residuals.arm_links_mm:.2f} mm, {residuals.arm_links_deg:.3f} deg"
         lines.append(f"  of these          {stop} at each stop; the rest repeats, like links that are off by {of_links}")
     if residuals.latency_s is not None and residuals.latency_std_s is not None:
-        late = f"{1e3 * residuals.latency_s:.2f} ± {1e3 * residuals.latency_std_s:.2f} ms by {residuals.latency_pictures} pictures"
+        late = (
+            f"{1e3 * residuals.latency_s:.2f} ± {1e3 * residuals.latency_std_s:.2f} ms by {residuals.latency_pictures} pictures"
+        )
         lines.append(f"latency             {late} of a moving arm: stamps are so much later than exposures by the poses' clock")
-        lines.append(f"  there             the target moves by {residuals.latency_px_per_ms:.2f} px each ms, which blurs it so much too")
+        lines.append(
+            f"  there             the target moves by {residuals.latency_px_per_ms:.2f} px each ms, which blurs it so much too"
+        )
     lines.append(f"views used          {residuals.views_used}, corners in {residuals.coverage:.0%} of the image")
     lines += [f"note: {note}" for note in notes(calibration)]
     return "\n".join(lines)

@@ -98,13 +98,13 @@ def _between(track: Track, seconds: Array, moving: NDArray[np.bool_]) -> list[in
 
 
 def _along_the_way(track: Track, seconds: Array, posed: Indices) -> list[list[int]]:
-    """For each of equal parts of the way, the pictures nearest to its middle."""
-    if not len(posed):
-        return []
+    """For each of equal parts of the way, the pictures nearest to its middle; all pictures where they are few."""
+    if len(posed) <= MOST_VIEWS:
+        return [[int(one)] for one in posed]
     moments = np.concatenate([[0.0], seconds[posed]])
     grid = np.arange(0.0, moments[-1] + STEP_S, STEP_S)
     way = np.interp(moments[1:], grid, np.cumsum(_speed(track, grid)) * STEP_S)
-    parts = min(MOST_VIEWS, len(posed))
+    parts = MOST_VIEWS
     place = (way - way[0]) / max(float(way[-1] - way[0]), 1e-12) * parts
     found = []
     for part in range(parts):

@@ -75,7 +75,9 @@ def _flange(tree: Tree, moving: set[str], where: object) -> str:
     for kind in FLANGES:
         found = sorted(name for name in moving if re.fullmatch(rf"(?:\w+[_/])?{kind}", name))
         if len(found) > 1:
-            raise UsageError("bag has several arms", where=where, why=f"flanges {', '.join(found)}", remedy="cut it to one arm's /tf")
+            raise UsageError(
+                "bag has several arms", where=where, why=f"flanges {', '.join(found)}", remedy="cut it to one arm's /tf"
+            )
         if found:
             return found[0]
     own = {name: sum(one in tree and tree[one].moves for one in ancestors(tree, name)) for name in moving if tree[name].moves}

@@ -20,7 +20,19 @@ SIDE = 640
 """Sharpness is measured in pictures of at most this side [px]."""
 DEPTHS = ("16UC1", "32FC1")
 """Encodings of depth, which are no photographs."""
-PLAIN = {"mono8": 1, "8UC1": 1, "rgb8": 3, "bgr8": 3, "8UC3": 3, "rgba8": 4, "bgra8": 4, "8UC4": 4, "mono16": 1, "rgb16": 3, "bgr16": 3}
+PLAIN = {
+    "mono8": 1,
+    "8UC1": 1,
+    "rgb8": 3,
+    "bgr8": 3,
+    "8UC3": 3,
+    "rgba8": 4,
+    "bgra8": 4,
+    "8UC4": 4,
+    "mono16": 1,
+    "rgb16": 3,
+    "bgr16": 3,
+}
 """Channels of encodings that hold one value after the other. 8UC3 and 8UC4 are OpenCV's own: blue first."""
 BLUE_FIRST = ("bgr8", "8UC3", "bgra8", "8UC4", "bgr16")
 BAYER = {name: getattr(cv2, f"COLOR_Bayer{name.upper()}2RGB") for name in ("rggb", "bggr", "gbrg", "grbg")}

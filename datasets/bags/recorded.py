@@ -169,15 +169,15 @@ def _manifest(path: Path, found: _Found, stamps: np.ndarray, track: Track, chose
     if chosen.unposed:
         moments = ", ".join(f"{1e-9 * (stamps[index] - start):.3f}" for index in chosen.unposed[:5])
         more = ", ..." if len(chosen.unposed) > 5 else ""
-        notes.append(f"{len(chosen.unposed)} of {len(stamps)} pictures have no pose of the arm and are not used: at {moments}{more} s")
+        notes.append(
+            f"{len(chosen.unposed)} of {len(stamps)} pictures have no pose of the arm and are not used: at {moments}{more} s"
+        )
     info = {} if found.info is None else {"camera_info": vars(found.info)}
     facts = {"path": str(path.resolve()), "topic": found.topic, "poses_from": found.poses_from, "halts": chosen.halts}
     return {**facts, "pictures": len(stamps), "poses": len(track.times_ns), "notes": notes, **info}
 
 
-def _frames(
-    bag: Bag, found: _Found, order: np.ndarray, track: Track, chosen: choosing.Chosen, folder: Path
-) -> list[Frame]:
+def _frames(bag: Bag, found: _Found, order: np.ndarray, track: Track, chosen: choosing.Chosen, folder: Path) -> list[Frame]:
     """Write the chosen pictures: the sharpest candidate of each view, then those of the motion between halts."""
     wanted = {int(order[one]): (f"{view:03d}", view) for view, group in enumerate(chosen.views) for one in group}
     wanted |= {int(order[one]): (f"m{number:03d}", number) for number, one in enumerate(chosen.moving)}

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from koala3d.datasets.building.clocked import at_exposure, speeds
 from koala3d.datasets.building.develop import developing
 from koala3d.datasets.building.lamps import lamp_sets, light_of
 from koala3d.datasets.calibration import Calibration
@@ -77,7 +78,9 @@ def build(
         why = f"all {len(recording.frames)} frames are of a calibration session" if recording.frames else "it holds no frames"
         remedy = "record a trajectory with an object"
         raise UsageError("recording has no views of an object", where=recording_path, why=why, remedy=remedy)
+    frames, clock_notes = at_exposure(recording, frames, calibration)
     camera, notes = camera_for(recording, calibration)
+    notes += clock_notes
     notes += incomplete_notes(recording, len(frames)) + depth_notes(frames)
     views, maps, response = [], truth_maps(recording.path), recording.response(radiometry)
     with developing(recording, response, out) as developed:
@@ -88,6 +91,7 @@ def build(
             done()
         views, notes = [developed.finished(view, white) for view in views], notes + developed.notes
         scene = _scene(recording, calibration, calibration_path, tuple(views), tuple(notes), Path(out).resolve().name)
+        scene = replace(scene, provenance=scene.provenance | speeds(recording, frames, calibration))
         koala.save(scene, out, extra=extra_truth(recording.path) | measured_depth(recording, frames), sizes=sizes)
     return koala.load(Path(out)) if developed.is_needed else scene
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koala3d.datasets import pose
-from koala3d.datasets.checks import blur, box, exposure, intrinsics, light, masks, motion, single_poses
+from koala3d.datasets.checks import arm, blur, box, exposure, intrinsics, light, masks, motion, single_poses
 from koala3d.datasets.checks.evidence import VIEWS, Evidence
 from koala3d.datasets.conventions import OPENCV_FROM_LLFF, OPENCV_FROM_MITSUBA, OPENCV_FROM_OPENGL
 from koala3d.datasets.core.errors import KoalaError
@@ -54,10 +54,12 @@ def check_evidence(evidence: Evidence) -> list[Finding]:
     wrong_convention = _convention(evidence)
     if wrong_convention:
         return wrong_convention
-    found = intrinsics.find(evidence)
-    if found:
+    found, evidence = arm.find(evidence)
+    if any(one.cause == arm.SCALE for one in found):
+        return found  # box and depths are of the wrong scale too
+    if not found and (found := intrinsics.find(evidence)):
         evidence = intrinsics.without_error(evidence)
-    elif agreement(evidence.matches, evidence.matrices) < DOUBTFUL:
+    elif not found and agreement(evidence.matches, evidence.matrices) < DOUBTFUL:
         shares = f"{100 * agreement(evidence.matches, evidence.matrices):.0f}% of {evidence.matches.count} matches agree"
         remedy = "check poses, intrinsics and the order of images"
         what = "poses do not explain the pictures"
@@ -69,7 +71,8 @@ def check_evidence(evidence: Evidence) -> list[Finding]:
 def _convention(evidence: Evidence) -> list[Finding]:
     matches, matrices = evidence.matches, evidence.matrices
     given = agreement(matches, matrices)
-    others = {name: agreement(matches, change(matrices)) for name, change in CONVENTIONS.items()}
+    changes = CONVENTIONS | arm.conventions(evidence.scene)
+    others = {name: agreement(matches, change(matrices)) for name, change in changes.items()}
     best = max(others, key=lambda name: others[name])
     if others[best] <= max(given + CLEARLY, 2 * given):
         return []

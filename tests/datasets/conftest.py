@@ -35,8 +35,8 @@ def camera_ring() -> Callable[..., list[View]]:
 
 
 @pytest.fixture(scope="session")
-def painted_walls(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Camera], Scene]:
-    """Factory of the scenes of `two_walls`, painted once for each camera: nobody may change these pictures."""
+def wall_picture() -> Callable[[Camera, np.ndarray], np.ndarray]:
+    """Function that paints the (height, width, 3) picture of `two_walls` from a camera with its (4, 4) world_from_camera."""
     random, textures = np.random.default_rng(0), []
     for _ in range(2):
         texture = sum(s * gaussian_filter(random.normal(size=(1024, 1024)), s, mode="wrap") for s in (1.5, 4, 10))
@@ -51,6 +51,15 @@ def painted_walls(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Camera]
             result = np.where((np.abs(points[..., :2]) < half).all(-1), values, result)
         return np.repeat(result[..., None], 3, axis=-1)
 
+    return picture
+
+
+@pytest.fixture(scope="session")
+def painted_walls(
+    tmp_path_factory: pytest.TempPathFactory, wall_picture: Callable[[Camera, np.ndarray], np.ndarray]
+) -> Callable[[Camera], Scene]:
+    """Factory of the scenes of `two_walls`, painted once for each camera: nobody may change these pictures."""
+
     @cache
     def paint(camera: Camera) -> Scene:
         folder, views = tmp_path_factory.mktemp("walls"), []
@@ -59,7 +68,7 @@ def painted_walls(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Camera]
             position = (4 * np.sin(angle), 0.25 * (index % 3), -4 * np.cos(angle))
             matrix = pose.look_at(position, (0, 0, 0), up=(0, -1, 0))
             path = folder / f"{index:02d}.png"
-            images.write(path, picture(camera, matrix))
+            images.write(path, wall_picture(camera, matrix))
             views.append(View(f"{index:02d}", camera, matrix, "train", path))
         box = np.array([[-9.0, -9, -9], [9, 9, 9]])
         return Scene("walls", tuple(views), 0.01, np.inf, box, "scene", bounds_from="cameras alone")

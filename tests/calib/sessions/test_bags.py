@@ -5,13 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from koala3d.calib import cli
 from koala3d.calib.calibrate import calibrate_handeye
 from koala3d.calib.sessions.session import observe_recording
 from koala3d.datasets import pose
 from koala3d.datasets.bags.recorded import recording_of
 from koala3d.datasets.calibration import Calibration
-from koala3d.datasets.core import files
 from koala3d.datasets.imaging import images
 from koala3d.datasets.recording import Recording
 from tests import bags
@@ -45,7 +43,9 @@ def halting(tmp_path_factory, make_recording, photograph):
     for k, frame in enumerate(recording.frames):
         picture = np.rint(255 * images.read(recording.image_path(frame))).astype(np.uint8)
         still |= {k * (REST_S + MOVE_S) + offset: picture for offset in (0.3, 0.5, 0.7)}
-    pictures = sorted([*still.items(), *((m, np.repeat(p[..., None], 3, -1)) for m, p in zip(moments, moving, strict=True))], key=lambda x: x[0])
+    pictures = sorted(
+        [*still.items(), *((m, np.repeat(p[..., None], 3, -1)) for m, p in zip(moments, moving, strict=True))], key=lambda x: x[0]
+    )
     times, poses = bags.way(session.reported, REST_S, MOVE_S, 125)
 
     def write(kind: str) -> Path:
@@ -72,7 +72,9 @@ def same(found: Calibration, wanted: Calibration) -> float:
         shift = 1e3 * np.abs(one.matrix[:3, 3] - other.matrix[:3, 3]) / other.translation_std_mm
         turn = np.rad2deg(np.abs(pose.rotation_vector(pose.inverse(other.matrix) @ one.matrix))) / other.rotation_std_deg
         worst = max(worst, shift.max(), turn.max())
-    differences = [abs(getattr(found.camera, name) - getattr(wanted.camera, name)) / std for name, std in wanted.camera_std.items()]
+    differences = [
+        abs(getattr(found.camera, name) - getattr(wanted.camera, name)) / std for name, std in wanted.camera_std.items()
+    ]
     return max(worst, *differences)
 
 
@@ -87,3 +89,42 @@ def test_a_bag_gives_the_calibration_of_its_session_and_the_latency(halting, kin
     late = found.residuals
     assert late.latency_s == pytest.approx(LATE_S, abs=min(0.002, 4 * late.latency_std_s))
     assert late.latency_std_s < 0.001 and late.latency_pictures >= 20
+
+
+def wandering(count: int, seconds: float, session) -> tuple[np.ndarray, np.ndarray]:
+    """(count,) times and true base_from_camera of a way above the board that never halts."""
+    times = np.linspace(0, seconds, count)
+    centre = (session.base_from_board @ [*session.board.points.mean(0)[:2], 0, 1])[:3]
+    found = []
+    for t in times:
+        tilt = [0.5 * np.sin(1.1 * t), 0.45 * np.sin(0.8 * t + 1), 0.5 * np.sin(0.6 * t)]
+        camera = pose.from_rotation_vector([np.pi, 0, 0]) @ pose.from_rotation_vector(tilt)
+        camera[:3, 3] = (
+            centre - camera[:3, 2] * (0.45 + 0.08 * np.sin(0.9 * t)) + 0.02 * np.array([np.sin(t), np.cos(1.3 * t), 0])
+        )
+        found.append(camera)
+    return times, np.stack(found)
+
+
+def test_an_arm_that_never_halts_is_calibrated_with_its_latency(small, photograph, tmp_path, monkeypatch) -> None:
+    monkeypatch.setenv("KOALA_CACHE", str(tmp_path / "cache"))
+    rng, camera, late_s = np.random.default_rng(4), small.camera.scaled(480, 300), -0.035
+    times, taken = wandering(6000, 24.0, small)
+    flanges = taken @ pose.inverse(small.flange_from_camera)
+    with bags.writing(tmp_path / "bag", "mcap") as bag:
+        for k in range(0, len(times), 2):  # 125 Hz
+            noise = pose.from_rotation_vector(rng.normal(0, np.deg2rad(0.005), 3), rng.normal(0, 3e-5, 3))
+            bag.transform("/tf", bags.START_NS + round(1e9 * times[k]), "base", "flange", flanges[k] @ noise)
+        for k in range(20, len(times) - 20, 100):  # 2.5 Hz
+            grey = photograph(small.board, camera, pose.inverse(taken[k]) @ small.base_from_board, rng=rng, samples=2)
+            stamp = bags.START_NS + round(1e9 * (times[k] + late_s))
+            bag.picture("/image", stamp, np.rint(255 * grey).astype(np.uint8), "mono8")
+    session = observe_recording(recording_of(tmp_path / "bag"), small.board)
+    assert session.clocked is not None and not session.clocked.halts
+    found = calibrate_handeye(session)
+    assert found.residuals.views_used >= 50
+    late = found.residuals
+    assert late.latency_s == pytest.approx(late_s, abs=min(0.002, 4 * late.latency_std_s)) and late.latency_std_s < 5e-4
+    shift, turn = pose.difference(found.flange_from_camera.matrix, small.flange_from_camera)
+    shift_mm, turn_deg = found.flange_from_camera.total_std
+    assert 1e3 * shift < 3 * shift_mm < 0.3 and np.rad2deg(turn) < 3 * turn_deg < 0.1

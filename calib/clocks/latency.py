@@ -127,14 +127,16 @@ def at_exposure(session: TargetSession, latency_s: float) -> TargetSession:
 
 
 def guess(session: TargetSession, camera: Camera) -> float:
-    """The latency [s] at which the flange turns by the same angles between pictures as the camera; 0 if none is clearly better."""
+    """The latency [s] at which flange and camera turn by the same angles between pictures; 0 if none is clearly better."""
     clocked = session.clocked
     assert clocked is not None
     observations, seconds = _all(session.observations, clocked)
     if len(seconds) < FEWEST:
         return 0.0
     boards = estimate.camera_from_boards(camera, observations)
-    first, second = (np.concatenate(part) for part in zip(*(_pairs(len(seconds), step) for step in _steps(len(seconds))), strict=True))
+    steps = range(1, min(NEIGHBOURS, len(seconds) - 1) + 1)
+    first = np.concatenate([np.arange(len(seconds) - step) for step in steps])
+    second = np.concatenate([np.arange(step, len(seconds)) for step in steps])
     seen = pose.rotation_angle(boards[first] @ pose.inverse(boards[second]))
     tried = np.arange(-LARGEST_S, LARGEST_S + STEP_S / 2, STEP_S)
     costs = []
@@ -144,14 +146,6 @@ def guess(session: TargetSession, camera: Camera) -> float:
         costs.append(float(np.minimum(np.abs(seen - turned), LARGEST_TURN).mean()))
     best, zero = int(np.argmin(costs)), int(np.abs(tried).argmin())
     return float(tried[best]) if costs[best] < CLEARLY * costs[zero] else 0.0
-
-
-def _steps(count: int) -> range:
-    return range(1, min(NEIGHBOURS, count - 1) + 1)
-
-
-def _pairs(count: int, step: int) -> tuple[Indices, Indices]:
-    return np.arange(count - step), np.arange(step, count)
 
 
 def _all(observations: tuple[Observation, ...], clocked: Clocked) -> tuple[tuple[Observation, ...], Array]:
@@ -175,9 +169,7 @@ def find(fit: outliers.Fit, free: tuple[str, ...], start_s: float) -> Latency | 
         return None
     track = clocked.track
     whole = replace(session, observations=observations, base_from_flange=track.at(seconds - start_s), clocked=None, joints=None)
-    late = LateMeasurements(
-        model.measured(whole, free, measured.known, measured.accuracy, measured.form), track, seconds
-    )
+    late = LateMeasurements(model.measured(whole, free, measured.known, measured.accuracy, measured.form), track, seconds)
     rig = replace(refined.state, corrections=np.zeros((len(observations), 6)))
     try:
         found = refine.refine(late, Late(rig, start_s), sigma_px=refined.sigmas.pixel)

@@ -1,0 +1,1 @@
+"""Clocks of pictures and poses: how late one is beside the other."""
