@@ -25,7 +25,7 @@ class Writer:
         self.writer, self.store, self.ros1 = writer, store, ros1
         self._topics: dict[str, Any] = {}
 
-    def message(self, name: str, **fields: Any) -> Any:
+    def message(self, name: str, /, **fields: Any) -> Any:
         """A message; `name` without its package's folder `msg`."""
         package, kind = name.split("/")
         return self.store.types[f"{package}/msg/{kind}"](**fields)
