@@ -152,8 +152,7 @@ def solve_clocked(
     first = first_stage(session, given, lens)
     start = latency.guess(first.session, first.camera)
     for _ in range(LATENCY_ROUNDS):
-        at_exposure = first if session.clocked.halts else replace(first, session=latency.at_exposure(first.session, start))
-        solution = _solve_from(at_exposure, accuracy)
+        solution = _solve_from(replace(first, session=first.session.at_exposure(start)), accuracy)
         found = latency.find(solution.fit, first.free, start)
         if found is None or session.clocked.halts or abs(found.seconds - start) < LATENCY_SETTLED * found.std:
             break

@@ -131,7 +131,8 @@ def verify_command(
     from koala3d.calib.page.summary import describe_verification
     from koala3d.datasets.calibration import Calibration
 
-    result = verify(pictures.observe()[0], Calibration.load(calibration))
+    known = Calibration.load(calibration)
+    result = verify(pictures.observe(calibration=known)[0], known)
     console.report(result.to_json(), as_json=json, text=describe_verification(result))
 
 
@@ -164,7 +165,7 @@ def report_command(
     others = {path.stem: crossval.compared(calibration.camera, Calibration.load(path).camera, path) for path in against or ()}
     leave_out = calibration.provenance.get("leave_out") is True
     found = Pictures(recording=recording_of(calibration, recording), description=description, leave_out=leave_out)
-    session, _ = found.observe()
+    session, _ = found.observe(calibration=calibration)
     evidence = gather(calibration, session)
     report.page(evidence, made_by=console.command_line(), distance_m=distance, others=others).write(out)
     differ = {name: {"rms_px": one.rms_px, "most_px": float(one.values_px.max())} for name, one in others.items()}

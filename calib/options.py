@@ -141,8 +141,13 @@ class Pictures:
 
             object.__setattr__(self, "recording", opened(self.recording))
 
-    def observe(self, board: "Board | None" = None) -> "tuple[TargetSession, Calibration | None]":
-        """Find the target, or `board`, in every image, with a progress bar; and the camera that an imported session brings."""
+    def observe(
+        self, board: "Board | None" = None, calibration: "Calibration | None" = None
+    ) -> "tuple[TargetSession, Calibration | None]":
+        """Find the target, or `board`, in every image, with a progress bar; and the camera that an imported session brings.
+
+        `calibration` says what a ROS bag does not: its target, and how late its pictures are.
+        """
         from koala3d.calib.sessions.importer import count_views, observe_folder
         from koala3d.datasets.calibration import Calibration
 
@@ -152,7 +157,7 @@ class Pictures:
                 bar.note(words)
                 bar.advance()
 
-            options = {"board": board, "seen": seen, "leave_out": self.leave_out}
+            options = {"board": board, "seen": seen, "leave_out": self.leave_out, "calibration": calibration}
             session, camera = observe_folder(self.recording, self.description, **options)
         return session, Calibration(camera, {}) if camera else None
 

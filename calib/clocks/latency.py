@@ -119,13 +119,6 @@ class Latency:
         return self.std**2 * np.outer(self.by_rig, self.by_rig)
 
 
-def at_exposure(session: TargetSession, latency_s: float) -> TargetSession:
-    """The session with the poses at the exposures, if the stamps of its views are late by so much [s]."""
-    assert session.clocked is not None
-    track = session.clocked.track
-    return replace(session, base_from_flange=track.at(track.seconds(session.clocked.stamps_ns) - latency_s))
-
-
 def guess(session: TargetSession, camera: Camera) -> float:
     """The latency [s] at which flange and camera turn by the same angles between pictures; 0 if none is clearly better."""
     clocked = session.clocked

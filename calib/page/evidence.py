@@ -13,6 +13,8 @@ from koala3d.calib.handeye.model import Accuracy, State
 from koala3d.calib.intrinsics import estimate, projection
 from koala3d.calib.sessions.session import TargetSession
 from koala3d.datasets import pose
+from koala3d.datasets.bags import recorded
+from koala3d.datasets.bags.reading import is_bag
 from koala3d.datasets.calibration import Calibration
 from koala3d.datasets.core.errors import UsageError
 
@@ -87,13 +89,13 @@ class CalibrationEvidence:
 
 
 def recording_of(calibration: Calibration, given: Path | None) -> Path:
-    """Folder that a calibration was made from. Raises UsageError where it is unknown or missing."""
+    """Folder that a calibration was made from, or that of its ROS bag. Raises UsageError where it is unknown or missing."""
     path = given or Path(calibration.provenance.get("recording") or calibration.provenance.get("folder", ""))
-    if not path.is_dir() or path == Path():
+    if not (path.is_dir() or is_bag(path)) or path == Path():
         where = path if path != Path() else "calibration"
         remedy = "give the folder as --recording"
         raise UsageError("the recording is missing", where=where, why="residuals and views cannot be shown", remedy=remedy)
-    return path
+    return recorded.recording_of(path)
 
 
 def left_out(calibration: Calibration) -> dict[str, str]:

@@ -86,9 +86,9 @@ class CalibrationView:
         """Add what the recording holds; where it is missing or cannot be used, say so."""
         try:
             path = recording_of(self.calibration, recording)
-            session, _ = observe_folder(
-                path, description, seen=self._seen, leave_out=self.calibration.provenance.get("leave_out") is True
-            )
+            leave_out = self.calibration.provenance.get("leave_out") is True
+            options = {"seen": self._seen, "leave_out": leave_out, "calibration": self.calibration}
+            session, _ = observe_folder(path, description, **options)
             self.evidence = evidence = gather(self.calibration, session)
         except KoalaError as error:
             self._state.content = f"*{error}*"

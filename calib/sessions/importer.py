@@ -12,7 +12,8 @@ from koala3d.calib.sessions import pose_files
 from koala3d.calib.sessions.description import Description, load_description
 from koala3d.calib.sessions.layouts import as_pose, other_readings
 from koala3d.calib.sessions.session import TargetSession, observe, observe_recording
-from koala3d.calib.targets.detection import check_markers
+from koala3d.calib.targets.detection import check_markers, read_board
+from koala3d.datasets.calibration import Calibration
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import UsageError
@@ -31,20 +32,29 @@ def observe_folder(
     board: Board | None = None,
     seen: Seen = lambda words: None,
     leave_out: bool = False,
+    calibration: Calibration | None = None,
 ) -> tuple[TargetSession, Camera | None]:
     """Find the target in a recording or, as `description` says, in a folder to import; and the camera that the import brings.
 
-    `board` is looked for instead of the target that the recording or the description names. With `leave_out`, images without a
-    pose are left out instead of refusing the session.
+    `board` is looked for instead of the target that the recording or the description names. A recording that was made of a ROS
+    bag names none and does not know how late its pictures are: target and latency are those of `calibration`. With `leave_out`,
+    images without a pose are left out instead of refusing the session.
 
     Raises UsageError where the folder is no recording and no description is given, and what the two functions for them raise.
     """
     imported = _imported(folder, description)
     if imported is None:
-        return observe_recording(folder, board, seen=seen), None
+        session = observe_recording(folder, board or _known_board(folder, calibration), seen=seen)
+        return session.at_exposure((calibration and calibration.residuals.latency_s) or 0.0), None
     imported = imported.model_copy(update={"board": board or imported.board})
     session = import_session(folder, imported, seen=seen, leave_out=leave_out)
     return session, imported.camera.camera() if imported.camera else None
+
+
+def _known_board(folder: Path, calibration: Calibration | None) -> Board | None:
+    """The target of a calibration, for a recording that was made of a ROS bag; None for others, which name their own."""
+    known = None if calibration is None else calibration.provenance.get("board")
+    return read_board(known, where="calibration, board") if known and Recording.open(folder).is_of_a_bag else None
 
 
 def count_views(folder: Path, description: Path | None = None) -> int:

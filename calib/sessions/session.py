@@ -74,6 +74,13 @@ class TargetSession:
         """(views, 4, 4) base_from_flange, or its inverse with the camera beside the arm; see `calib.handeye.model`."""
         return pose.inverse(self.base_from_flange) if self.eye_to_hand else self.base_from_flange
 
+    def at_exposure(self, latency_s: float) -> Self:
+        """The same with the poses at the exposures if the stamps are late by so much [s]; halts do not depend on it."""
+        clocked = self.clocked
+        if clocked is None or clocked.halts:
+            return self
+        return replace(self, base_from_flange=clocked.track.at(clocked.track.seconds(clocked.stamps_ns) - latency_s))
+
     def chosen(self, keep: Mask) -> Self:
         """The same with the views of `keep` (views,) alone."""
         return self.with_observations([o for o, kept in zip(self.observations, keep, strict=True) if kept])
@@ -142,6 +149,9 @@ def observe_recording(
 ) -> TargetSession:
     """Find the target of a recording in its frames, or another `board`. Nothing under its truth folder is read."""
     recording = Recording.open(path)
+    if board is None and recording.is_of_a_bag:
+        where, remedy = recording.part(BAG).get("path"), "give it to 'calib handeye' as --board"
+        raise TargetError("a bag does not say which target it shows", where=where, remedy=remedy)
     board = board or read_board(recording.manifest.get("board"), where=f"{Path(path) / MANIFEST}, board")
     frames = [frame for frame in recording.frames if frame.split != MOVING]
     views = [(f.name, recording.image_path(f), f.base_from_flange) for f in frames]  # paths are checked on opening

@@ -97,6 +97,10 @@ def _check_alike(sessions: Sequence[TargetSession], names: Sequence[str]) -> Non
         if (session.width, session.height) != (width, height):
             why = f"{session.width}x{session.height}, those of {names[0]} are {width}x{height}"
             raise UsageError("pictures have another size", where=name, why=why, remedy="record all with one camera setting")
+    for session, name in zip(sessions, names, strict=True):
+        if session.clocked is not None and not session.clocked.halts:
+            why = "the arm never halts in it, and its latency is estimated from a bag alone"
+            raise UsageError("cannot be calibrated with others", where=name, why=why, remedy="let the arm halt in each view")
     joining.check_arm(sessions, names)
 
 

@@ -26,7 +26,7 @@ from koala3d.datasets.formats.assemble import CAMERAS_ALONE
 from koala3d.datasets.imaging import images
 from koala3d.datasets.imaging.region import Region
 from koala3d.datasets.incidents import left_out
-from koala3d.datasets.recording import DEPTH, MANIFEST, TRUTH, Frame, Recording
+from koala3d.datasets.recording import BAG, DEPTH, MANIFEST, TRUTH, Frame, Recording
 from koala3d.datasets.scene import CHANNELS, SPLITS, STATED, Scene, View
 from koala3d.datasets.structure import bounds
 from koala3d.datasets.structure.measure import measured
@@ -131,7 +131,7 @@ def _scene(
     box, evidence = object_box(recording, views)
     provenance = {
         "format": koala.FORMAT,
-        "recording": str(recording.path.absolute()),
+        "recording": recording.part(BAG).get("path") or str(recording.path.absolute()),
         "calibration": str(Path(calibration_path).absolute()),
         "calibration_sha256": files.sha256(calibration_path),
         "manifest_sha256": files.sha256(recording.path / MANIFEST),

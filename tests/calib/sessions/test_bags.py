@@ -1,15 +1,19 @@
 """A hand-eye session in a ROS bag gives what the session itself gives, and how late the pictures are."""
 
+import json
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from koala3d.calib import cli
 from koala3d.calib.calibrate import calibrate_handeye
 from koala3d.calib.sessions.session import observe_recording
 from koala3d.datasets import pose
 from koala3d.datasets.bags.recorded import recording_of
 from koala3d.datasets.calibration import Calibration
+from koala3d.datasets.core import files
 from koala3d.datasets.imaging import images
 from koala3d.datasets.recording import Recording
 from tests import bags
@@ -50,6 +54,8 @@ def halting(tmp_path_factory, make_recording, photograph):
 
     def write(kind: str) -> Path:
         path = home / {"ros1": "session.bag"}.get(kind, kind)
+        if path.exists():
+            return path
         with bags.writing(path, kind) as bag:
             messages = [(t, "tf", p) for t, p in zip(times, poses, strict=True)] + [(t, "picture", p) for t, p in pictures]
             for t, what, content in sorted(messages, key=lambda one: one[0]):
@@ -128,3 +134,19 @@ def test_an_arm_that_never_halts_is_calibrated_with_its_latency(small, photograp
     shift, turn = pose.difference(found.flange_from_camera.matrix, small.flange_from_camera)
     shift_mm, turn_deg = found.flange_from_camera.total_std
     assert 1e3 * shift < 3 * shift_mm < 0.3 and np.rad2deg(turn) < 3 * turn_deg < 0.1
+
+
+def test_the_commands_take_bags(halting, tmp_path, monkeypatch, run_inside) -> None:
+    monkeypatch.setenv("KOALA_CACHE", str(tmp_path / "cache"))
+    _, write, session = halting
+    bag, board, out = write("ros1"), tmp_path / "board.yaml", tmp_path / "calibration.json"
+    failed = run_inside(cli.main, "calib", "handeye", bag, "--out", out)
+    assert failed.returncode and "does not say which target it shows" in failed.stderr and "--board" in failed.stderr
+    files.write_text(board, json.dumps(session.board.to_json()))
+    done = run_inside(cli.main, "calib", "handeye", bag, "--board", board, "--out", out)
+    assert done.returncode == 0, done.stderr
+    assert re.search(r"latency +(19|20)\.\d\d ± 0\.\d\d ms by \d+ pictures of a moving arm", done.stdout)
+    assert Calibration.load(out).provenance["recording"] == str(bag)
+    verified = run_inside(cli.main, "calib", "verify", bag, "--calibration", out, "--json")
+    assert verified.returncode == 0 and json.loads(verified.stdout)["rms_px"] < 0.5
+    assert run_inside(cli.main, "calib", "report", out, "--out", tmp_path / "page.html").returncode == 0

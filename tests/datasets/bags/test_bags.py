@@ -118,10 +118,11 @@ def test_screws_are_interpolated_exactly() -> None:
     assert track.gap([0.5, 1.5]).tolist() == [1.0, np.inf]
 
 
-URDF = """<robot name="arm">
-  <link name="base_link"/>
-  <joint name="one" type="revolute"><parent link="base_link"/><child link="a"/><origin xyz="0 0 0.2" rpy="0 0 0"/><axis xyz="0 0 1"/></joint>
-  <joint name="two" type="continuous"><parent link="a"/><child link="b"/><origin xyz="0.1 0 0" rpy="1.5708 0 0.3"/><axis xyz="0 1 0"/></joint>
+URDF = """<robot name="arm"><link name="base_link"/>
+  <joint name="one" type="revolute"><parent link="base_link"/><child link="a"/>
+    <origin xyz="0 0 0.2" rpy="0 0 0"/><axis xyz="0 0 1"/></joint>
+  <joint name="two" type="continuous"><parent link="a"/><child link="b"/>
+    <origin xyz="0.1 0 0" rpy="1.5708 0 0.3"/><axis xyz="0 1 0"/></joint>
   <joint name="three" type="prismatic"><parent link="b"/><child link="c"/><axis xyz="0 0 2"/></joint>
   <joint name="end" type="fixed"><parent link="c"/><child link="tool0"/><origin xyz="0 0 0.05"/></joint>
 </robot>"""
