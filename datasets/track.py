@@ -5,8 +5,9 @@ Between two stamps the flange moves as a screw: constant speed along and about o
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,8 +35,10 @@ class Track:
     poses: Array
     """(n, 4, 4) base_from_flange [m]."""
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "_seconds", 1e-9 * (self.times_ns - self.times_ns[0]).astype(np.float64))
+    @cached_property
+    def _seconds(self) -> Array:
+        """(n,) times since the first pose [s]."""
+        return self.seconds(self.times_ns)
 
     def seconds(self, times_ns: ArrayLike) -> Array:
         """Time stamps as seconds since the first pose: differences of integers keep all their digits."""
@@ -63,7 +66,7 @@ class Track:
 
     def _place(self, seconds: Array) -> tuple[NDArray[np.int64], Array]:
         """The pose in front of each time, and the share of the way to the next, 0 to 1."""
-        known: Any = self._seconds
+        known = self._seconds
         index = np.clip(np.searchsorted(known, seconds, side="right") - 1, 0, len(known) - 2)
         share = (seconds - known[index]) / (known[index + 1] - known[index])
         return index, np.clip(share, 0.0, 1.0)
@@ -110,4 +113,4 @@ def _bend(turns: Array) -> Array:
     angle, skew = np.sqrt(safe), pose.cross(turns)
     cosine = np.where(large, (1 - np.cos(angle)) / safe, 0.5 - angle2 / 24)
     cubic = np.where(large, (angle - np.sin(angle)) / (safe * angle), 1 / 6 - angle2 / 120)
-    return np.eye(3) + cosine * skew + cubic * (skew @ skew)
+    return np.asarray(np.eye(3) + cosine * skew + cubic * (skew @ skew), np.float64)

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from koala3d.datasets import pose
 from koala3d.datasets.bags.frames import Edge, Tree, edge_of
+from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import DatasetError
 
 TURNING, SLIDING = ("revolute", "continuous"), ("prismatic",)
@@ -21,16 +22,14 @@ def tree_of(text: str, states: Iterable[tuple[int, Any]], *, where: object) -> T
 
     Raises DatasetError if the URDF cannot be read.
     """
-    if "<!DOCTYPE" in text or "<!ENTITY" in text:  # entities could grow without bound
-        raise DatasetError("URDF is not plain", where=where, why="it declares entities", remedy="expand it with xacro")
     angles: dict[str, list[tuple[int, float]]] = {}
     for stamp_ns, state in states:
         for name, value in zip(state.name, state.position, strict=False):
             angles.setdefault(name, []).append((stamp_ns, float(value)))
     try:
-        joints = ElementTree.fromstring(text.encode()).findall("joint")
+        joints = files.parse_xml(text, where=where).findall("joint")
         return {str(_link(joint, "child")): _edge(joint, angles.get(joint.get("name", ""), [])) for joint in joints}
-    except (ElementTree.ParseError, ValueError, AttributeError) as error:
+    except (ValueError, AttributeError) as error:
         raise DatasetError("URDF cannot be read", where=where, why=str(error), remedy="expand it with xacro") from None
 
 

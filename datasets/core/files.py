@@ -16,6 +16,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 
@@ -167,6 +168,16 @@ def read_text(path: Path, limit: int, *, suffixes: tuple[str, ...] = ()) -> str:
         return data.decode("utf-16" if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig")
     except UnicodeDecodeError as error:
         raise DatasetError("is not a text file", where=path, why=str(error), remedy="save it as text in UTF-8") from None
+
+
+def parse_xml(text: str, *, where: object) -> ElementTree.Element:
+    """The root of an XML document. Raises DatasetError if it is damaged, or declares entities: these could grow without bound."""
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise DatasetError("XML is not plain", where=where, why="it declares entities", remedy="write it without a DOCTYPE")
+    try:
+        return ElementTree.fromstring(text.encode())
+    except (ElementTree.ParseError, ValueError) as error:
+        raise DatasetError("is not valid XML", where=where, why=str(error), remedy="write it again") from None
 
 
 def read_regular(path: Path, limit: int, *, suffixes: tuple[str, ...] = ()) -> bytes:

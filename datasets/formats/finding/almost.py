@@ -34,7 +34,7 @@ MARKS = (
     (("groundtruth.txt", "*trajectory*.txt", "traj*.txt"), "{found} may hold poses", KNOWN),
     (("*.csv",), "{found} may hold poses, as those of RealityCapture",
      "export COLMAP's format instead; if it holds none: datasets process {images} --out {new}"),
-    (("*.xml",), "{found} may be of Metashape", "ns-process-data metashape --data {images} --xml {found} --output-dir {new}"),
+    (("*.xml",), "{found} is no camera export of Metashape", "export there with File > Export > Export Cameras, as Agisoft XML"),
     (("*.db",), "{found} is there, a model is not", "mkdir -p {folder}/sparse && "
      "colmap mapper --database_path {found} --image_path {images} --output_path {folder}/sparse"),
     (VIDEOS, "{found} is a video without poses", "datasets process {found} --out {new}"),

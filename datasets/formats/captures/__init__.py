@@ -1,0 +1,1 @@
+"""Exports of other capture programs, read only."""
