@@ -27,7 +27,6 @@ MARKS = (
     (("*camera*.npz",), "{found} is there, {folder}/cameras_sphere.npz is not", "cp {found} {folder}/cameras_sphere.npz"),
     (("keyframes/cameras",), "it is a raw export of Polycam", "ns-process-data polycam --data {folder} --output-dir {new}"),
     (("EXR_RGBD/metadata.json",), "it is an export of Record3D", "ns-process-data record3d --data {folder} --output-dir {new}"),
-    (("scene_camera.json",), "{found} is of BOP", KNOWN),
     (("sfm_data.json",), "{found} is of OpenMVG", "openMVG_main_openMVG2Colmap -i {found} -o {folder}/sparse"),
     (("cameras.sfm", "*.sfm"), "{found} is of Meshroom", "aliceVision_exportColmap --input {found} --output {folder}"),
     (("bundle.out", "bundle/bundle.out"), "{found} is of Bundler", KNOWN),
