@@ -11,14 +11,14 @@ from koala3d.datasets.core.errors import DatasetError, KoalaError, UsageError, n
 from koala3d.datasets.core.progress import Step, ignore
 from koala3d.datasets.formats import blender, colmap, dtu, koala, llff, nerfstudio, sdfstudio
 from koala3d.datasets.formats.assemble import CAMERAS_ALONE
-from koala3d.datasets.formats.captures import bop, metashape
+from koala3d.datasets.formats.captures import bop, metashape, reality
 from koala3d.datasets.formats.finding.almost import explain
 from koala3d.datasets.formats.links import Extra, plain_masks
 from koala3d.datasets.scene import Scene
 
 WRITTEN = {"koala": koala, "blender": blender, "nerfstudio": nerfstudio, "llff": llff, "dtu": dtu, "colmap": colmap}
 """Module of each format that is read and written, with `detect`, `load` and `save`."""
-FORMATS = {**WRITTEN, "sdfstudio": sdfstudio, "metashape": metashape, "bop": bop}
+FORMATS = {**WRITTEN, "sdfstudio": sdfstudio, "metashape": metashape, "bop": bop, "realityscan": reality}
 """Module of each format, with `detect` and `load`; the first that detects a folder reads it."""
 
 WRITERS: dict[str, Callable[..., str]] = {
@@ -29,7 +29,7 @@ WRITERS: dict[str, Callable[..., str]] = {
 """Writer of each format, by name."""
 SIZED = frozenset({"koala", "nerfstudio", "llff", "colmap", "colmap-text"})
 """Formats that can hold smaller copies of the images."""
-LENSES = frozenset({"blender", "nerfstudio", "colmap", "metashape"})
+LENSES = frozenset({"blender", "nerfstudio", "colmap", "metashape", "realityscan"})
 """Formats with lens models that our camera cannot hold."""
 _UNFORESEEN = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError, RecursionError, MemoryError)
 """What values of the wrong type raise inside a reader."""

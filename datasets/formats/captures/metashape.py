@@ -24,8 +24,8 @@ from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import DatasetError, KoalaError
 from koala3d.datasets.formats import assemble, opengl
-from koala3d.datasets.formats.finding.pictures import Listing, homes, without_suffix
-from koala3d.datasets.formats.finding.stated import plain
+from koala3d.datasets.formats.captures import shared
+from koala3d.datasets.formats.finding.pictures import Listing, without_suffix
 from koala3d.datasets.scene import Scene, View, with_test_views
 
 LARGEST, HEAD = 2**28, 4096
@@ -33,8 +33,6 @@ LARGEST, HEAD = 2**28, 4096
 FISHEYES = ("fisheye", "equidistant_fisheye")
 SKEWED_PX = 0.5
 """A shear of the sensor that moves the picture's edge by more is not ignored [px]."""
-DISTANT = 1e5
-"""Worlds whose origin is further away are moved to the middle of the cameras: geocentric ones, in which floats end [m]."""
 
 
 def find(folder: Path) -> Path | None:
@@ -105,7 +103,7 @@ def load(
     sensors = {one.get("id", ""): one for one in chunk.findall("sensors/sensor")}
     export = _Export(source, folder, sensors, _worlds(chunk, source), any_lens)
     gathering = assemble.Gathering(folder, problems)
-    listing, places = Listing(), _places(folder, images_folder)
+    listing, places = Listing(), shared.places(folder, images_folder)
     not_used: dict[str, list[str]] = {}
     for camera in _cameras(chunk):
         label = camera.get("label", "")
@@ -113,16 +111,14 @@ def load(
             if (why := _unused(camera)) is not None:
                 not_used.setdefault(why, []).append(label)
                 continue
-            image = _image(listing, places, label)
+            image = shared.image(listing, places, label)
             if image is None:
                 gathering.missing.append(label)
             else:
                 gathering.views.append(_view(gathering, export, camera, image))
     gathering.notes += [f"{len(labels)} cameras {why} and are left out" for why, labels in not_used.items()]
-    if len({view.image.parent for view in gathering.views}) == 1:
-        masks = gathering.masks(gathering.views[0].image.parent, [view.image.name for view in gathering.views])
-        gathering.views = [replace(view, mask=mask) for view, mask in zip(gathering.views, masks, strict=True)]
-    views, notes = _near_the_origin(gathering.finished(listed_in=source.name))
+    shared.with_masks(gathering)
+    views, notes = shared.near_the_origin(gathering.finished(listed_in=source.name))
     gathering.notes += [*notes, *_about_scale(chunk, export)]
     scene = assemble.scene(gathering, with_test_views(views, hold_out), "metashape")
     return replace(scene, metric=_has_scale(chunk))
@@ -158,17 +154,6 @@ def _view(gathering: assemble.Gathering, export: _Export, camera: Element, image
     chunk_from_camera = pose.checked(_numbers(camera.findtext("transform"), 16, where).reshape(4, 4), where=where)
     matrix = export.placed(camera.get("component_id", ""), chunk_from_camera)
     return View(without_suffix(image.relative_to(gathering.folder)), fitted, matrix, "train", image)
-
-
-def _places(folder: Path, wanted: str | None) -> list[Path]:
-    """Folders that may hold the images."""
-    return [files.inside(folder, wanted)] if wanted is not None else [*homes(folder), folder]
-
-
-def _image(listing: Listing, places: list[Path], label: str) -> Path | None:
-    """The image of a label, which is a file's name with or without suffix, or a whole path of another machine."""
-    name = plain(label).name
-    return next((image for place in places if name and (image := listing.like(place, name)) is not None), None)
 
 
 def _camera(sensor: Element, folder: Path, where: str, any_lens: bool) -> Camera:
@@ -250,13 +235,3 @@ def _about_scale(chunk: Element, export: _Export) -> list[str]:
         more = f": {len(bars)} scale bars are there, so update the reference in Metashape and export again" if bars else ""
         return [f"{export.source.name} has no scale, the unit is not the metre{more}"]
     return [f"the unit is the metre by {len(bars)} scale bars"] if bars else []
-
-
-def _near_the_origin(views: tuple[View, ...]) -> tuple[tuple[View, ...], list[str]]:
-    """The views, moved to the middle of the cameras if the world's origin is far away, and a note on that."""
-    middle = np.mean([view.world_from_camera[:3, 3] for view in views], axis=0).round()
-    if np.linalg.norm(middle) < DISTANT:
-        return views, []
-    moved = pose.rigid(np.eye(3), -middle)
-    said = f"the world is moved by {', '.join(f'{-value:.0f}' for value in middle)}: its origin is far from the cameras"
-    return tuple(replace(view, world_from_camera=moved @ view.world_from_camera) for view in views), [said]
