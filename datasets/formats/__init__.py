@@ -11,14 +11,14 @@ from koala3d.datasets.core.errors import DatasetError, KoalaError, UsageError, n
 from koala3d.datasets.core.progress import Step, ignore
 from koala3d.datasets.formats import blender, colmap, dtu, koala, llff, nerfstudio, sdfstudio
 from koala3d.datasets.formats.assemble import CAMERAS_ALONE
-from koala3d.datasets.formats.captures import bop, metashape, reality
+from koala3d.datasets.formats.captures import bop, metashape, phones, reality
 from koala3d.datasets.formats.finding.almost import explain
 from koala3d.datasets.formats.links import Extra, plain_masks
 from koala3d.datasets.scene import Scene
 
 WRITTEN = {"koala": koala, "blender": blender, "nerfstudio": nerfstudio, "llff": llff, "dtu": dtu, "colmap": colmap}
 """Module of each format that is read and written, with `detect`, `load` and `save`."""
-FORMATS = {**WRITTEN, "sdfstudio": sdfstudio, "metashape": metashape, "bop": bop, "realityscan": reality}
+FORMATS = {**WRITTEN, "sdfstudio": sdfstudio, "metashape": metashape, "bop": bop, "realityscan": reality, "phone": phones}
 """Module of each format, with `detect` and `load`; the first that detects a folder reads it."""
 
 WRITERS: dict[str, Callable[..., str]] = {

@@ -25,8 +25,6 @@ MARKS = (
     (("cameras_sphere.npz", "cameras.npz", "cameras_large.npz"), "{found} is there, a folder of images is not",
      "put the images into {folder}/image"),
     (("*camera*.npz",), "{found} is there, {folder}/cameras_sphere.npz is not", "cp {found} {folder}/cameras_sphere.npz"),
-    (("keyframes/cameras",), "it is a raw export of Polycam", "ns-process-data polycam --data {folder} --output-dir {new}"),
-    (("EXR_RGBD/metadata.json",), "it is an export of Record3D", "ns-process-data record3d --data {folder} --output-dir {new}"),
     (("sfm_data.json",), "{found} is of OpenMVG", "openMVG_main_openMVG2Colmap -i {found} -o {folder}/sparse"),
     (("cameras.sfm", "*.sfm"), "{found} is of Meshroom", "aliceVision_exportColmap --input {found} --output {folder}"),
     (("bundle.out", "bundle/bundle.out"), "{found} is of Bundler", KNOWN),
