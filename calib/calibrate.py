@@ -150,14 +150,13 @@ def solve_clocked(
     _check_poses(session)
     links.check(session, accuracy)
     first = first_stage(session, given, lens)
-    start = latency.guess(first.session, first.camera)
-    for _ in range(LATENCY_ROUNDS):
+    start, rounds = latency.guess(first.session, first.camera), 1 if session.clocked.halts else LATENCY_ROUNDS
+    while True:
         solution = _solve_from(replace(first, session=first.session.at_exposure(start)), accuracy)
-        found = latency.find(solution.fit, first.free, start)
-        if found is None or session.clocked.halts or abs(found.seconds - start) < LATENCY_SETTLED * found.std:
-            break
+        found, rounds = latency.find(solution.fit, first.free, start), rounds - 1
+        if found is None or not rounds or abs(found.seconds - start) < LATENCY_SETTLED * found.std:
+            return replace(solution, latency=found)
         start = found.seconds
-    return replace(solution, latency=found)
 
 
 def _solve_from(first: First, accuracy: Accuracy) -> Solution:

@@ -102,7 +102,7 @@ def exponential(twists: Array) -> Array:
 def logarithm(motions: Array) -> Array:
     """(n, 6) twists of (n, 4, 4) motions; the inverse of `exponential` for turns below pi."""
     turn = pose.rotation_vector(motions)
-    return np.concatenate([np.linalg.solve(_bend(turn), motions[:, :3, 3:])[..., 0], turn], axis=1)
+    return np.asarray(np.hstack([np.linalg.solve(_bend(turn), motions[:, :3, 3:])[..., 0], turn]), np.float64)
 
 
 def _bend(turns: Array) -> Array:

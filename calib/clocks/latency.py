@@ -109,7 +109,7 @@ class Latency:
     by_rig: Array  # (p,) change of the rig's unknowns per second of latency, if its views are of a moving arm
     speed_px: float  # how fast the picture of the target moves, in the middle of the pictures of motion [px/s]
 
-    def facts(self) -> dict[str, float]:
+    def facts(self) -> dict[str, Any]:
         """For the calibration file."""
         of_speed = {"latency_px_per_ms": 1e-3 * self.speed_px}
         return {"latency_s": self.seconds, "latency_std_s": self.std, "latency_pictures": self.pictures, **of_speed}

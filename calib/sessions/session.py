@@ -159,15 +159,15 @@ def observe_recording(
         raise TargetError("recording holds no frames", where=path, remedy="finish it with 'capture run --resume'")
     beside = recording.manifest.get("eye_to_hand") is True
     session = observe(board, views, provenance=provenance_of(path, board), seen=seen, eye_to_hand=beside)
-    if recording.is_of_a_bag:
-        return replace(session, clocked=_clocked(recording, board, session, seen))
+    if (track := recording.track) is not None:
+        return replace(session, clocked=_clocked(recording, track, board, session, seen))
     joints = {frame.name: frame.joints for frame in frames}
     region = Region.of_recording(recording.manifest, where=recording.path / MANIFEST)
     angles = np.stack([joints[o.name] for o in session.observations])
     return replace(session, region=region, joints=angles, links=recording.links)
 
 
-def _clocked(recording: Recording, board: Board, session: TargetSession, seen: Callable[[str], None]) -> Clocked:
+def _clocked(recording: Recording, track: Track, board: Board, session: TargetSession, seen: Callable[[str], None]) -> Clocked:
     """The clocks of a recording that was made of a ROS bag, and the target in the pictures of its moving arm."""
     found, stamps = [], {frame.name: frame.host_time_ns for frame in recording.frames}
     for frame in recording.frames:
@@ -176,7 +176,7 @@ def _clocked(recording: Recording, board: Board, session: TargetSession, seen: C
             found += [] if observation is None else [observation]
             seen(f"moving {frame.name}: {0 if observation is None else len(observation.ids)} corners")
     own, moving = (np.array([stamps[o.name] for o in some], np.int64) for some in (session.observations, found))
-    return Clocked(recording.track, own, tuple(found), moving, recording.part(BAG).get("halts") is True)
+    return Clocked(track, own, tuple(found), moving, recording.part(BAG).get("halts") is True)
 
 
 def provenance_of(path: Path, board: Board) -> dict[str, Any]:

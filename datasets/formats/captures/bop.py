@@ -1,8 +1,8 @@
 """Scenes of the BOP benchmark (object pose estimation), read only: `scene_camera.json` beside `rgb` or `gray`.
 
-Poses take the world (`cam_R_w2c`, `cam_t_w2c`) or an object's model (`cam_R_m2c`, `cam_t_m2c` of `scene_gt.json`) to the camera, in
-our axes and in millimetres; matrices are stored row by row. The camera matrix `cam_K` is OpenCV's, with pixel centres at integers,
-and may differ from image to image. Where no world is stated, the object that most images show once is the world.
+Poses take the world (`cam_R_w2c`, `cam_t_w2c`) or an object's model (`cam_R_m2c`, `cam_t_m2c` of `scene_gt.json`) to the camera,
+in our axes and in millimetres; matrices are stored row by row. The camera matrix `cam_K` is OpenCV's, with pixel centres at
+integers, and may differ from image to image. Where no world is stated, the object that most images show once is the world.
 """
 
 from collections import Counter

@@ -1,13 +1,14 @@
 """Agisoft Metashape's camera export (XML), read only.
 
-Poses are chunk_from_camera in our axes (x right, y down, z forward), and pixel centres lie at +0.5 as ours do. The transform of the
-component, in older files that of the chunk, leads into the world; where it has a scale, that of markers, scale bars or GPS, the
-unit is the metre. Lens (Metashape user manual, appendix on camera models), with x = X / Z, y = Y / Z:
+Poses are chunk_from_camera in our axes (x right, y down, z forward), and pixel centres lie at +0.5 as ours do. The transform of
+the component, in older files that of the chunk, leads into the world; where it has a scale, that of markers, scale bars or GPS,
+the unit is the metre. Lens (Metashape user manual, appendix on camera models), with x = X / Z, y = Y / Z:
 
     x' = x (1 + k1 r^2 + k2 r^4 + k3 r^6 + k4 r^8) + p1 (r^2 + 2 x^2) + 2 p2 x y
     u  = width / 2 + cx + x' (f + b1) + y' b2
 
-so its p1 is OpenCV's p2, and the other way round, its principal point is an offset from the middle, and f + b1 and f are fx and fy.
+so its p1 is OpenCV's p2, and the other way round, its principal point is an offset from the middle, and fx and fy are f + b1
+and f.
 """
 
 from collections.abc import Iterator
@@ -91,7 +92,7 @@ def load(
     problems: list[KoalaError] | None = None,
     any_lens: bool = False,
 ) -> Scene:
-    """Read a camera export of Metashape; every `hold_out`-th view by sorted name is a test view. `any_lens` as in `opengl.camera`.
+    """Read a camera export; every `hold_out`-th view by sorted name is a test view. `any_lens` as in `opengl.camera`.
 
     Raises:
         DatasetError: it is damaged, has no aligned cameras, or uses an unsupported lens.

@@ -1,10 +1,10 @@
 """Camera export of RealityScan and RealityCapture ("Internal/External camera parameters", CSV), read only.
 
 A row for each image: position; heading, pitch and roll [deg]; focal length for a picture of 36 mm on its longer side; principal
-point as an offset from the middle, in units of the longer side; Brown's k1 to k4, t1, t2. Orientation is rot_z(-heading) rot_x(pitch)
-rot_y(roll) with OpenGL's camera axes, as nerfstudio's importer has it; t1 and t2 are exchanged against OpenCV's p1 and p2, as
-AliceVision's importer of the same coefficients has it. The file does not say which lens model they belong to: Brown's is the
-program's own choice.
+point as an offset from the middle, in units of the longer side; Brown's k1 to k4, t1, t2. Orientation is rot_z(-heading)
+rot_x(pitch) rot_y(roll) with OpenGL's camera axes, as nerfstudio's importer has it; t1 and t2 are exchanged against OpenCV's p1
+and p2, as AliceVision's importer of the same coefficients has it. The file does not say which lens model they belong to: Brown's
+is the program's own choice.
 """
 
 import csv

@@ -29,7 +29,7 @@ MARKS = (
     (("cameras.sfm", "*.sfm"), "{found} is of Meshroom", "aliceVision_exportColmap --input {found} --output {folder}"),
     (("bundle.out", "bundle/bundle.out"), "{found} is of Bundler", KNOWN),
     (("groundtruth.txt", "*trajectory*.txt", "traj*.txt"), "{found} may hold poses", KNOWN),
-    (("*.csv",), "{found} is no camera export of RealityScan, but may hold poses",
+    (("*.csv",), "{found} may hold poses, but is no camera export of RealityScan",
      "export its internal/external camera parameters; if it holds no poses: datasets process {images} --out {new}"),
     (("*.xml",), "{found} is no camera export of Metashape", "export there with File > Export > Export Cameras, as Agisoft XML"),
     (("*.db",), "{found} is there, a model is not", "mkdir -p {folder}/sparse && "

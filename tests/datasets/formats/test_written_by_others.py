@@ -276,7 +276,7 @@ def test_other_kinds_of_pictures_are_named(tmp_path: Path, format: str, name: st
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("scene_camera.json", "is of BOP"), ("sfm_data.json", "is of OpenMVG"), ("cameras.sfm", "is of Meshroom"),
+        ("sfm_data.json", "is of OpenMVG"), ("cameras.sfm", "is of Meshroom"),
         ("bundle.out", "is of Bundler"), ("groundtruth.txt", "may hold poses"), ("poses.csv", "may hold poses"),
     ],
 )  # fmt: skip

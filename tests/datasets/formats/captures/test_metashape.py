@@ -172,8 +172,8 @@ def test_a_geocentric_world_is_where_the_gps_was(tmp_path) -> None:
         "-0.01288400 0.02326485 -0.99964631 0.43561421 0 0 0 1"
     )
     chunk = (
-        "<sensors><sensor id='0' type='frame'><resolution width='5280' height='3956'/><calibration class='adjusted'><f>3705.47</f>"
-        "</calibration></sensor></sensors><components><component id='0'><transform>"
+        "<sensors><sensor id='0' type='frame'><resolution width='5280' height='3956'/>"
+        "<calibration class='adjusted'><f>3705.47</f></calibration></sensor></sensors><components><component id='0'><transform>"
         f"<rotation>{rotation}</rotation><translation>-2499366.429888 -4256836.520906 4029217.965003</translation>"
         "<scale>12.354192447331316</scale></transform></component></components>"
         f"<cameras><camera id='0' sensor_id='0' component_id='0' label='x'><transform>{placed}</transform></camera></cameras>"

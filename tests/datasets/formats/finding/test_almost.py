@@ -28,8 +28,6 @@ from koala3d.datasets.scene import Scene
         (["a.jpg", "b.jpg"], r"it holds 2 images and no poses.*datasets process .*photos --out photos_scene"),
         (["rgb/a.jpg"], r"it holds 1 images and no poses.*datasets process .*photos/rgb --out photos_scene"),
         (["walk.MOV"], r"is a video without poses.*datasets process .*walk\.MOV"),
-        (["keyframes/cameras/0.json", "keyframes/images/0.jpg"], "Polycam"),
-        (["EXR_RGBD/metadata.json"], "Record3D"),
     ],
 )
 def test_what_is_missing_is_named(tmp_path: Path, names: list[str], words: str) -> None:
