@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 LEAST_PX, LEAST_BETTER = 0.3, 0.7
 """The median distance of right matches must fall by so much [px of the image that was searched], and to this share of itself."""
 LEAST_GAIN = 0.1
-"""Share of the matches' robust cost that the correction must remove. Untouched scenes reach 0.02."""
+"""Share of the matches' robust cost that the correction must remove. Three untouched scenes of shiny objects reach 0.002."""
 STANDS_OUT = 5.0
 """So many standard deviations the change must be from none."""
 FACTORS = (1.0, 1e-3, 1e3)
