@@ -5,6 +5,7 @@ from typing import Annotated
 
 from typer import Argument, Option
 
+from koala3d.calib.export import commands as export_commands
 from koala3d.calib.options import (
     READING,
     AllowMm,
@@ -155,8 +156,9 @@ def report_command(
     as stored. The recording is searched for the target again.
     """
     from koala3d.calib.intrinsics import crossval
+    from koala3d.calib.origin import recording_of
     from koala3d.calib.page import report
-    from koala3d.calib.page.evidence import gather, recording_of
+    from koala3d.calib.page.evidence import gather
     from koala3d.datasets.calibration import Calibration
 
     _check_out(out)
@@ -270,6 +272,7 @@ def poses_command(pictures: Pictures, calibration: Intrinsics = None) -> None:
     console.report(found, as_json=True, text="")
 
 
+app.command("export", panel=MAIN)(export_commands.export)
 app.command("cameras", panel=MAIN)(together_commands.cameras)
 app.command("turntable", panel=MAIN)(turntable_commands.turntable)
 app.command("board", panel=MAIN)(target_commands.board)

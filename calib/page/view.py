@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from koala3d.calib.arrays import Array
 from koala3d.calib.errors import CalibrationError
 from koala3d.calib.handeye import verify
+from koala3d.calib.origin import recording_of
 from koala3d.calib.page import figures
-from koala3d.calib.page.evidence import CORRECTED, CalibrationEvidence, Sighting, gather, recording_of
+from koala3d.calib.page.evidence import CORRECTED, CalibrationEvidence, Sighting, gather
 from koala3d.calib.page.summary import describe_calibration
 from koala3d.calib.sessions.importer import observe_folder
 from koala3d.calib.targets.detection import read_board
