@@ -55,15 +55,15 @@ class Training:
     keep_up: Any = field(default=None)
     _finite: dict[str, jax.Array] = field(default_factory=dict)
 
-    def chunk(self) -> dict[str, jax.Array]:
-        """Up to `CHUNK` steps, the last of them with the second pass where it is due.
+    def chunk(self, most: int = CHUNK) -> dict[str, jax.Array]:
+        """Up to `most` steps, at most `CHUNK`, the last of them with the second pass where it is due.
 
         Returns:
             The last step's terms, or where they were not finite those of the last chunk that was; empty before there is one.
         """
         surface, clock, schedule = self.run.config.surface, self.clock, self.one_step.schedule
         period = schedule.second_pass_period(clock.progress)
-        left = CHUNK if clock.left is None else min(CHUNK, clock.left)
+        left = most if clock.left is None else min(most, clock.left)
         until_due = period - clock.since_second_pass if surface.enabled else left
         count = max(1, min(left, until_due))
         second = surface.enabled and count >= until_due
