@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from koala3d.capture.cli import main
+from koala3d.capture.cli.run import _shown_in_rerun
 from koala3d.capture.model.rig import recorded_carrier
 from koala3d.datasets.core import files
 from koala3d.datasets.recording import Recording
@@ -88,3 +89,9 @@ def test_a_dry_run_writes_none(run_inside, tmp_path: Path) -> None:
     files.write_text(tmp_path / "three.yaml", SESSION)
     done = run_inside(main, "capture", "run", tmp_path / "three.yaml", "--dry-run", "--rerun", tmp_path / "s.rrd")
     assert done.returncode == 2 and "--rerun" in done.stderr and not (tmp_path / "s.rrd").exists()
+
+
+def test_a_session_that_was_stopped_is_written_too(recorded: tuple[Path, Path], tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt), _shown_in_rerun(tmp_path / "s.rrd", recorded[0], "sim"):
+        raise KeyboardInterrupt
+    assert len(rrd.read(tmp_path / "s.rrd", "view")["/base/camera/picture EncodedImage:blob"]) == 3

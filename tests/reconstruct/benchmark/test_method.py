@@ -43,12 +43,10 @@ def test_each_lens_sees_a_point_where_opencv_does() -> None:
     matrix = np.array([[80, 0, 40.0], [0, 81, 29.75], [0, 0, 1]])  # OpenCV's first pixel is at (0, 0)
     k1, k2, p1, p2, k3, k4, k5, k6 = 0.1, -0.03, 0.004, -0.002, 0.02, 0.05, -0.01, 0.003
     everything = [k1, k2, p1, p2, k3, k4, k5, k6]
-    project = lambda lens: cv2.projectPoints(POINT[None], np.zeros(3), np.zeros(3), matrix, np.array(lens))[0].ravel()  # noqa: E731
-    fisheye = cv2.fisheye.projectPoints(POINT[None, None], np.zeros(3), np.zeros(3), matrix, np.array([k1, k2, k3, k4]))[
-        0
-    ].ravel()
-    expected = {"pinhole": project([0.0] * 4), "opencv": project([k1, k2, p1, p2])}
-    expected |= {"full_opencv": project(everything), "opencv_fisheye": fisheye}
+    lenses = {"pinhole": [0.0] * 4, "opencv": [k1, k2, p1, p2], "full_opencv": everything}
+    still, bent = np.zeros(3), np.array([k1, k2, k3, k4])
+    expected = {name: cv2.projectPoints(POINT, still, still, matrix, np.array(lens))[0] for name, lens in lenses.items()}
+    expected["opencv_fisheye"] = cv2.fisheye.projectPoints(POINT[None, None], still, still, matrix, bent)[0]
     assert set(expected) == set(MODELS)
     for model, pixel in expected.items():
         camera, world_from_camera = camera_of(one(model, everything))
