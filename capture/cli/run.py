@@ -120,7 +120,7 @@ def run(
     _require_out(out, dry_run, {"--adaptive": adaptive, "--view": view, "--resume": resume, "--rerun": rerun is not None})
     rerun_file.require(rerun)
     session = load_trajectory(trajectory, overrides=settings)
-    options = SessionOptions(rig, scene_for(rig, scene, session), seed, time_scale, radiometry, take_over, resume, slow)
+    options = SessionOptions(rig, scene_for(rig, scene, session), seed, time_scale, radiometry, take_over, resume, slow=slow)
     options = replace(options, ask=asker(confirm), ignore=tuple(ignore or ()))
     if out is None:
         found, text = _driven(session, options)
