@@ -136,7 +136,7 @@ class RerunFile:
         self._log(entity, self._rerun.TextDocument(words, media_type="text/markdown"), always=True)
 
     def _log(self, entity: str, what: Any, *, always: bool = False) -> None:
-        parts = [part.replace(" ", "_") for part in entity.strip("/").split("/")]  # a list is escaped
+        parts: list[Any] = [part.replace(" ", "_") for part in entity.strip("/").split("/")]  # a list is escaped
         self._stream.log(parts, what, static=always)
 
 

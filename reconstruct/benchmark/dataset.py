@@ -34,7 +34,7 @@ def camera_of(cameras: Any) -> tuple[Camera, NDArray[np.float64]]:
     width, height = map(int, np.asarray(cameras.image_sizes).reshape(2))
     name = MODELS[int(np.asarray(cameras.camera_models).item())]
     given = dict(zip(ORDER, map(float, np.asarray(cameras.distortion_parameters).ravel()), strict=False))
-    lens = {key: given.get(key, 0.0) for key in USED[name]}
+    lens: dict[str, Any] = {key: given.get(key, 0.0) for key in USED[name]}
     camera = Camera(width, height, fx, fy, cx, cy, fisheye=name == "opencv_fisheye", **lens)
     matrix = np.vstack([np.asarray(cameras.poses, np.float64).reshape(3, 4), [0, 0, 0, 1]])
     return camera.checked(where="NerfBaselines' camera"), matrix
