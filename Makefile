@@ -5,6 +5,7 @@
 # make docs    the pages of docs/ as HTML in build/docs
 # make lock    refresh constraints/, the versions that make installs
 # make install-check  install and use Koala with every Python on this machine
+# make package    build wheel and source distribution, compare them with the checkout and start the wheel's commands
 # make figures every picture of README.md and docs/, from the code (needs the demonstration; 25 minutes more for the calibration benchmark)
 # Everything is installed into .venv; again only when pyproject.toml or setup.py has changed.
 
@@ -20,7 +21,7 @@ define step
 @printf '\n== %s\n   %s\n' "$(1)" "$(2)"; start=$$(date +%s); $(2) && printf '   [%d s]\n' $$(($$(date +%s) - start))
 endef
 
-.PHONY: demo tools test test-all check fuzz types format docs figures lock install-check clean
+.PHONY: demo tools test test-all check fuzz types format docs figures lock install-check package clean
 .DEFAULT_GOAL := test
 
 $(READY): pyproject.toml setup.py $(wildcard constraints/*.txt)
@@ -84,6 +85,10 @@ lock: $(READY)
 	$(BIN)/python -m pip install --quiet --editable '.[lock]'
 	for version in 3.11 3.12 3.13 3.14; do $(BIN)/uv pip compile --quiet --universal --no-header --no-annotate --upgrade \
 	  --python-version $$version --extra all --extra test --extra docs --output-file constraints/python$$version.txt pyproject.toml || exit 1; done
+
+package: $(READY)
+	$(BIN)/python -m pip install --quiet --editable '.[lock]'
+	$(BIN)/python tests/install/package.py
 
 install-check:
 	$(PYTHON) tests/install/check.py $(VERSIONS)

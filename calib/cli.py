@@ -1,10 +1,11 @@
 """The `calib` command: parses, calls, prints."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option
 
+from koala3d.calib.export import commands as export_commands
 from koala3d.calib.options import (
     READING,
     AllowMm,
@@ -28,6 +29,11 @@ from koala3d.datasets.core import console
 from koala3d.datasets.core.console import Json
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.core.help import CHECK, LOOK, MAIN, STUDY
+from koala3d.datasets.core.options import Rerun
+
+if TYPE_CHECKING:
+    from koala3d.calib.sessions.session import TargetSession
+    from koala3d.datasets.calibration import Calibration
 
 app = console.make_app("calib", "Calibrate the camera and its pose on the arm from a recording of a target.")
 
@@ -73,6 +79,7 @@ def handeye_command(
     intrinsics: Intrinsics = None,
     lens: Lens = "auto",
     allow_mm: AllowMm = 5.0,
+    rerun: Rerun = None,
     json: Json = False,
 ) -> None:
     """Calibrate the whole rig: the camera, its pose on the flange and the pose of the target.
@@ -84,8 +91,10 @@ def handeye_command(
     from koala3d.calib.page.finish import finish
     from koala3d.calib.targets.told_apart import check_told_apart
     from koala3d.calib.together.boards import calibrate_boards
+    from koala3d.datasets.reports import rerun_file
 
     check_lens(lens)
+    rerun_file.require(rerun)
     accuracy, allow_m = arm.accuracy(inexact), allowed_m(allow_mm)
     _check_out(out)
     searched = [(path, board_named(path)) for path in targets or ()]
@@ -93,10 +102,14 @@ def handeye_command(
     pairs = [(recording, target) for recording in recordings for target in searched or [(None, None)]]
     if len(pairs) > 1 and intrinsics is not None:
         raise UsageError("several targets determine the camera themselves", where="--intrinsics", remedy="leave it out")
+    if len(pairs) > 1 and rerun is not None:
+        raise UsageError("shows a session with one target", where="--rerun", why=f"{len(pairs)} given", remedy="leave it out")
     options = {"description": description, "leave_out": leave_out, "intrinsics": intrinsics, "lens": lens}
     read = [RigOptions(recording=recording, **options).read(board) for recording, (_, board) in pairs]
     if len(pairs) == 1:
-        return finish(calibrate_handeye(*read[0], accuracy, lens, allow_m), out, json)
+        calibration = calibrate_handeye(*read[0], accuracy, lens, allow_m)
+        finish(calibration, out, json)
+        return None if rerun is None else _show_in_rerun(calibration, read[0][0], rerun)
     names = [f"{recording}" if target is None else f"{recording}, {target}" for recording, (target, _) in pairs]
     sessions, where = [session for session, _ in read], [recording for recording, _ in pairs]
     finish(calibrate_boards(sessions, names, where, accuracy=accuracy, lens=lens, allow_m=allow_m).calibration, out, json)
@@ -156,8 +169,9 @@ def report_command(
     as stored. The recording is searched for the target again.
     """
     from koala3d.calib.intrinsics import crossval
+    from koala3d.calib.origin import recording_of
     from koala3d.calib.page import report
-    from koala3d.calib.page.evidence import gather, recording_of
+    from koala3d.calib.page.evidence import gather
     from koala3d.datasets.calibration import Calibration
 
     _check_out(out)
@@ -271,9 +285,18 @@ def poses_command(pictures: Pictures, calibration: Intrinsics = None) -> None:
     console.report(found, as_json=True, text="")
 
 
+app.command("export", panel=MAIN)(export_commands.export)
 app.command("cameras", panel=MAIN)(together_commands.cameras)
 app.command("turntable", panel=MAIN)(turntable_commands.turntable)
 app.command("board", panel=MAIN)(target_commands.board)
+
+
+def _show_in_rerun(calibration: "Calibration", session: "TargetSession", out: Path) -> None:
+    """Write what the calibration was made from as a file for Rerun's viewer."""
+    from koala3d.calib.page import rerun_calibration
+    from koala3d.calib.page.evidence import gather
+
+    rerun_calibration.write(gather(calibration, session), out)
 
 
 def _check_out(out: Path) -> None:

@@ -14,6 +14,8 @@ Matrix = NDArray[np.float64]
 
 SMALLEST = 1e-6
 """Scales below this are mistakes, and so are those above its inverse."""
+VERTICAL = 1 - 1e-12
+"""Sine of a pitch from which on roll and yaw turn about the same axis."""
 FURTHEST = 1e12
 """Positions further away than this [world unit] are mistakes: their products would lose all digits."""
 
@@ -52,6 +54,18 @@ def quaternion(pose: ArrayLike) -> NDArray[np.float64]:
     """(..., 4) unit quaternion `wxyz`, w >= 0."""
     xyzw = Rotation.from_matrix(np.asarray(pose, np.float64)[..., :3, :3]).as_quat(canonical=True)
     return np.roll(xyzw, 1, -1)
+
+
+def roll_pitch_yaw(pose: ArrayLike) -> NDArray[np.float64]:
+    """(3,) turns [rad] about the fixed x, then y, then z axis, as a URDF has them, of (4, 4) or (3, 3).
+
+    Where the pitch is a quarter turn only the sum or difference of roll and yaw is defined: the roll is then 0.
+    """
+    rotation = np.asarray(pose, np.float64)[:3, :3]
+    pitch = np.arcsin(np.clip(-rotation[2, 0], -1.0, 1.0))
+    if abs(rotation[2, 0]) < VERTICAL:
+        return np.array([np.arctan2(rotation[2, 1], rotation[2, 2]), pitch, np.arctan2(rotation[1, 0], rotation[0, 0])])
+    return np.array([0.0, pitch, np.arctan2(-rotation[0, 1], rotation[1, 1])])
 
 
 def rotation_angle(pose: ArrayLike) -> NDArray[np.float64]:

@@ -6,13 +6,13 @@ from typing import Annotated
 from typer import Argument, Option
 
 from koala3d.datasets.core import console
+from koala3d.reconstruct import train_command
 from koala3d.reconstruct.asset import command as asset_command
 from koala3d.reconstruct.diagnosis import command as diagnosis_command
 from koala3d.reconstruct.experiments import commands as experiment_commands
 from koala3d.reconstruct.options import Preset
 from koala3d.reconstruct.output import commands as output_commands
 from koala3d.reconstruct.rendered import command as scenes_command
-from koala3d.reconstruct.training import command as train_command
 
 app = console.make_app("reconstruct", "Train Surf-NeRF on a scene, evaluate it, and export images and geometry.")
 

@@ -1,7 +1,7 @@
 """Skips that are failures: with KOALA_REQUIRE=all whatever a test asks for has to be on the machine (`make tools`).
 
 What no package manager installs may still be absent: a connected arm or camera (marked `hardware`, and not selected), real data
-beside the checkout (`real_data`), and nerfstudio's own environment.
+beside the checkout (`real_data`), and the environments of nerfstudio and NerfBaselines.
 """
 
 import os
@@ -11,7 +11,13 @@ from typing import TypeVar
 import pytest
 
 ALL_REQUIRED = os.environ.get("KOALA_REQUIRE") == "all"
-EXCEPTIONS = ("real data set ", "KOALA_NERFSTUDIO is not set", "a Basler camera is connected", "a RealSense camera is connected")
+EXCEPTIONS = (
+    "real data set ",
+    "KOALA_NERFSTUDIO is not set",
+    "KOALA_NERFBASELINES is not set",
+    "a Basler camera is connected",
+    "a RealSense camera is connected",
+)
 """How the reasons begin of skips that no package would prevent."""
 Report = TypeVar("Report", pytest.TestReport, pytest.CollectReport)
 

@@ -13,10 +13,7 @@ from koala3d.calib.handeye.model import Accuracy, State
 from koala3d.calib.intrinsics import estimate, projection
 from koala3d.calib.sessions.session import TargetSession
 from koala3d.datasets import pose
-from koala3d.datasets.bags import recorded
-from koala3d.datasets.bags.reading import is_bag
 from koala3d.datasets.calibration import Calibration
-from koala3d.datasets.core.errors import UsageError
 
 CORRECTED, REPORTED, ALONE = "arm corrected", "arm as reported", "camera alone"
 """Kinds of residuals: each view with the correction that its corners ask for; with the arm's pose as reported; without an arm."""
@@ -86,16 +83,6 @@ class CalibrationEvidence:
             pixels = self.pixels[own] if own.any() else observation.pixels
             why = self.left_out.get(observation.name, "" if residuals else "no corner agrees with the calibration")
             yield Sighting(observation.name, session.images.get(observation.name), by_arm, by_picture, pixels, residuals, why)
-
-
-def recording_of(calibration: Calibration, given: Path | None) -> Path:
-    """Folder that a calibration was made from, or that of its ROS bag. Raises UsageError where it is unknown or missing."""
-    path = given or Path(calibration.provenance.get("recording") or calibration.provenance.get("folder", ""))
-    if not (path.is_dir() or is_bag(path)) or path == Path():
-        where = path if path != Path() else "calibration"
-        remedy = "give the folder as --recording"
-        raise UsageError("the recording is missing", where=where, why="residuals and views cannot be shown", remedy=remedy)
-    return recorded.recording_of(path)
 
 
 def left_out(calibration: Calibration) -> dict[str, str]:

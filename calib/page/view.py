@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from koala3d.calib.arrays import Array
 from koala3d.calib.errors import CalibrationError
 from koala3d.calib.handeye import verify
-from koala3d.calib.page import figures
-from koala3d.calib.page.evidence import CORRECTED, CalibrationEvidence, Sighting, gather, recording_of
+from koala3d.calib.origin import recording_of
+from koala3d.calib.page import board_mesh, figures
+from koala3d.calib.page.evidence import CORRECTED, CalibrationEvidence, Sighting, gather
 from koala3d.calib.page.summary import describe_calibration
 from koala3d.calib.sessions.importer import observe_folder
 from koala3d.calib.targets.detection import read_board
@@ -25,9 +26,7 @@ from koala3d.datasets.imaging import images
 from koala3d.datasets.page import Page, PicturePanel, shapes
 from koala3d.datasets.page.panel import WIDTH, bytes_of
 from koala3d.datasets.targets.board import Board
-from koala3d.datasets.targets.pattern import Pattern
 
-DISC_CORNERS = 24  # of the polygons that stand for circles
 THUMBNAIL = 96  # width of the pictures on the cameras [px]
 ARROW = 0.03  # length of the arrow of a large residual, as a share of the picture's width
 WORST_PX = 0.5  # residual that is drawn fully red [px]
@@ -205,42 +204,10 @@ def _point(place: Array) -> tuple[int, int]:
 
 def add_board(page: Page, name: str, board: Board, base_from_board: Array) -> None:
     """A target as a light plate with what is printed on it, at a (4, 4) pose."""
-    pattern = Pattern(board)
-    parts = [("plate", _rectangles(np.array([[0, 0, *board.size]]), 0.0), 235)]
-    if len(pattern.rectangles):
-        parts.append(("squares", _rectangles(pattern.rectangles, -1e-4), 30))
-    if len(pattern.circles):
-        parts.append(("circles", _discs(pattern.circles, -1e-4), 30))
     rotation, place = shapes.placed(base_from_board)
-    for part, mesh, grey in parts:
+    for part, (mesh, grey) in board_mesh.parts(board).items():
         colour = (grey, grey, grey)
         page.scene.add_mesh_simple(f"{name}/{part}", *mesh, color=colour, side="double", wxyz=rotation, position=place)
-
-
-Mesh = tuple[NDArray[np.float32], NDArray[np.uint32]]
-"""Vertices and faces."""
-
-
-def _rectangles(places: Array, height: float) -> Mesh:
-    """Rectangles (n, 4), x, y, width and height each, in the plane z = `height`."""
-    steps = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
-    return _fans(places[:, None, :2] + steps * places[:, None, 2:], height)
-
-
-def _discs(places: Array, height: float) -> Mesh:
-    """Discs (n, 3), middle and diameter each, in the plane z = `height`."""
-    turn = 2 * np.pi * np.arange(DISC_CORNERS) / DISC_CORNERS
-    return _fans(places[:, None, :2] + np.stack([np.cos(turn), np.sin(turn)], -1) * places[:, None, 2:] / 2, height)
-
-
-def _fans(corners: Array, height: float) -> Mesh:
-    """Convex polygons with (n, m, 2) corners, as triangles from each one's first corner."""
-    count = corners.shape[1]
-    flat = corners.reshape(-1, 2)
-    vertices = np.concatenate([flat, np.full((len(flat), 1), height)], axis=1)
-    first = count * np.arange(len(corners))[:, None]
-    faces = np.concatenate([first + np.array([0, k, k + 1]) for k in range(1, count - 1)])
-    return vertices.astype(np.float32), faces.astype(np.uint32)
 
 
 def decoded(png: bytes) -> NDArray[np.uint8]:

@@ -27,6 +27,7 @@ from koala3d.capture.cli.options import (
     TrajectoryName,
 )
 from koala3d.datasets.core import console
+from koala3d.datasets.core.options import Rerun
 
 if TYPE_CHECKING:
     from koala3d.capture.drivers.protocols import Robot
@@ -97,6 +98,7 @@ def run(
     ignore: Ignore = None,
     view: Annotated[bool, Option("--view", help="Show the session in the browser, with a stop button.")] = False,
     port: console.Port = 8080,
+    rerun: Rerun = None,
     settings: Settings = None,
     as_json: console.Json = False,
 ) -> None:
@@ -111,12 +113,14 @@ def run(
     from koala3d.capture.sessions.start import SessionOptions
     from koala3d.datasets.core.errors import KoalaError
     from koala3d.datasets.core.files import refuse_existing
+    from koala3d.datasets.reports import rerun_file
 
     goal = CoverageGoal(until_coverage, views, minutes)
     _agree(adaptive, goal, calibration, view)
-    _require_out(out, dry_run, {"--adaptive": adaptive, "--view": view, "--resume": resume})
+    _require_out(out, dry_run, {"--adaptive": adaptive, "--view": view, "--resume": resume, "--rerun": rerun is not None})
+    rerun_file.require(rerun)
     session = load_trajectory(trajectory, overrides=settings)
-    options = SessionOptions(rig, scene_for(rig, scene, session), seed, time_scale, radiometry, take_over, resume, slow)
+    options = SessionOptions(rig, scene_for(rig, scene, session), seed, time_scale, radiometry, take_over, resume, slow=slow)
     options = replace(options, ask=asker(confirm), ignore=tuple(ignore or ()))
     if out is None:
         found, text = _driven(session, options)
@@ -125,10 +129,9 @@ def run(
     if not resume:
         refuse_existing(out)
     try:
-        if adaptive:
-            found, text = _chosen(session, out, goal, options, calibration)
-        else:
-            found, text = _every(session, out, options, port if view else None)
+        with _shown_in_rerun(rerun, out, rig):
+            chosen = adaptive and _chosen(session, out, goal, options, calibration)
+            found, text = chosen or _every(session, out, options, port if view else None)
     except KeyboardInterrupt:
         how = "by Ctrl-C or from the page" if view else "by Ctrl-C"
         remedy = f"the same command with --resume continues in {out}" if out.exists() else "nothing was written"
@@ -228,6 +231,22 @@ def _every(session: "Trajectory", out: Path, options: "SessionOptions", port: in
     found = {"recording": str(out), "frames": taken, "seconds": round(seconds, 2), "scene": options.scene or None}
     by = f" by each of {', '.join(cameras)}" if cameras else ""
     return {**found, "cameras": cameras}, f"{out}: {taken} views{by} in {seconds:.0f} s"
+
+
+@contextmanager
+def _shown_in_rerun(rerun: Path | None, out: Path, rig: str) -> Iterator[None]:
+    """At the end, or after an error or Ctrl-C, write what was recorded (by the first of several cameras) for Rerun's viewer."""
+    from koala3d.capture.rig.naming import describe
+    from koala3d.datasets.recording import MANIFEST
+
+    try:
+        yield
+    finally:
+        path = out / describe(rig).name
+        if rerun is not None and (path / MANIFEST).is_file():
+            from koala3d.capture.page import rerun_session
+
+            rerun_session.write(path, rerun)
 
 
 @contextmanager

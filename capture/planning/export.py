@@ -32,7 +32,6 @@ Array = NDArray[np.float64]
 UR_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 """As Universal Robots' ROS packages call them, each with "_joint" behind it."""
 PLANE_M, THICK_M = 4.0, 0.02  # extent of table and ceiling, which have no end in a plan
-VERTICAL = 1 - 1e-12  # sine of a pitch from which on roll and yaw turn about the same axis
 
 
 def write(folder: Path, trajectory: Trajectory, obstacles: Obstacles, planned: list[PlannedView]) -> None:
@@ -183,13 +182,7 @@ def _joint(root: Element, name: str, kind: str, parent: str, child: str, place: 
 
 def _origin(element: Element, place: Array) -> None:
     """A (4, 4) place as `xyz` and `rpy`, the turns about the fixed x, then y, then z."""
-    rotation = place[:3, :3]
-    pitch = np.arcsin(np.clip(-rotation[2, 0], -1.0, 1.0))
-    if abs(rotation[2, 0]) < VERTICAL:
-        roll, yaw = np.arctan2(rotation[2, 1], rotation[2, 2]), np.arctan2(rotation[1, 0], rotation[0, 0])
-    else:  # only their sum or difference is defined
-        roll, yaw = 0.0, np.arctan2(-rotation[0, 1], rotation[1, 1])
-    SubElement(element, "origin", xyz=_text(*place[:3, 3]), rpy=_text(roll, pitch, yaw))
+    SubElement(element, "origin", xyz=_text(*place[:3, 3]), rpy=_text(*pose.roll_pitch_yaw(place)))
 
 
 def _text(*numbers: float) -> str:

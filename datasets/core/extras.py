@@ -13,6 +13,7 @@ EXTRAS = {
     "xatlas": "asset",
     "pxr": "asset",
     "coacd": "asset",
+    "rerun": "rerun",
     "harvesters": "genicam",
     "genicam": "genicam",
     "pyrealsense2": "realsense",

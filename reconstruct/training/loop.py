@@ -15,6 +15,7 @@ from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.scene import Scene
 from koala3d.reconstruct.config import Config
 from koala3d.reconstruct.convergence import figures_of, warn_early
+from koala3d.reconstruct.rendering.model import Model
 from koala3d.reconstruct.run import Run
 from koala3d.reconstruct.scene import poses
 from koala3d.reconstruct.training import distributed
@@ -36,6 +37,7 @@ def train(
     resume: bool = False,
     start_from: Run | None = None,
     series: bool = False,
+    watch: Callable[[Training, Model, dict[str, Any]], None] | None = None,
 ) -> dict[str, Any]:
     """Train on the scene's train views and leave a run in `out`.
 
@@ -47,6 +49,7 @@ def train(
             its first checkpoint starts over.
         start_from: begin with what this run has learned, optimiser and occupancy grid included, instead of fresh weights.
         series: the run is of another object of a series: begin with its weights alone, see `training.beginning.series`.
+        watch: called with the training, its model and the line of the log at each look.
 
     Raises:
         UsageError: no train views, `out` holds something else, or nothing to resume.
@@ -63,6 +66,7 @@ def train(
             training = resumed(scene, folder, budget_s)
         else:
             training = start(scene, scene_path, config, folder, budget_s, start_from, series=series)
+        training.watch = watch
         return _completed(training, scene, time.perf_counter() - started) | {"run": str(out)}
 
 

@@ -1,6 +1,7 @@
 """A training that is under way: chunks of steps, looks for the log, checkpoints."""
 
 import time
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
@@ -12,6 +13,7 @@ import numpy as np
 from koala3d.datasets.core.console import hint
 from koala3d.reconstruct import checkpoint
 from koala3d.reconstruct.errors import ReconstructError
+from koala3d.reconstruct.rendering.model import Model
 from koala3d.reconstruct.rendering.pictures import Renderer
 from koala3d.reconstruct.rendering.probe import Probe
 from koala3d.reconstruct.run import CHECKPOINTS, Run
@@ -45,21 +47,23 @@ class Training:
     """What is left out, and why."""
     events: EventLog | None = None
     """Where each look goes beside the run's log."""
+    watch: "Callable[[Training, Model, dict[str, Any]], None] | None" = None
+    """Called with the model and the line of each look."""
     plan: Plan | None = None
     """How the number of steps follows from a budget."""
     advance: Any = field(default=None)
     keep_up: Any = field(default=None)
     _finite: dict[str, jax.Array] = field(default_factory=dict)
 
-    def chunk(self) -> dict[str, jax.Array]:
-        """Up to `CHUNK` steps, the last of them with the second pass where it is due.
+    def chunk(self, most: int = CHUNK) -> dict[str, jax.Array]:
+        """Up to `most` steps, at most `CHUNK`, the last of them with the second pass where it is due.
 
         Returns:
             The last step's terms, or where they were not finite those of the last chunk that was; empty before there is one.
         """
         surface, clock, schedule = self.run.config.surface, self.clock, self.one_step.schedule
         period = schedule.second_pass_period(clock.progress)
-        left = CHUNK if clock.left is None else min(CHUNK, clock.left)
+        left = most if clock.left is None else min(most, clock.left)
         until_due = period - clock.since_second_pass if surface.enabled else left
         count = max(1, min(left, until_due))
         second = surface.enabled and count >= until_due
@@ -126,6 +130,8 @@ class Training:
         self.run.append_log(line)
         if self.events is not None:
             self.events.write(line)
+        if self.watch is not None:
+            self.watch(self, model, line)
         return line
 
     def save(self) -> None:

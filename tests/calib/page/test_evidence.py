@@ -11,7 +11,8 @@ from koala3d.calib.advice.patterns import ViewRange, viewpoints
 from koala3d.calib.advice.simulate import ARM, KOALA, simulate, target_session
 from koala3d.calib.handeye import refine
 from koala3d.calib.intrinsics import estimate
-from koala3d.calib.page.evidence import ALONE, CORRECTED, REPORTED, CalibrationEvidence, gather, recording_of
+from koala3d.calib.origin import recording_of
+from koala3d.calib.page.evidence import ALONE, CORRECTED, REPORTED, CalibrationEvidence, gather
 from koala3d.calib.page.view import ARROW, between_green_and_red, overall, with_arrows
 from koala3d.calib.sessions.session import TargetSession
 from koala3d.datasets import pose

@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 
 from koala3d.capture.cli import main
+from koala3d.capture.cli import run as run_module
+from koala3d.capture.sessions.start import SessionOptions
 from koala3d.datasets.recording import Recording
 
 SESSION = """\
@@ -99,3 +101,12 @@ def test_a_dry_run_moves_the_arm_and_records_nothing(session: Path, tmp_path: Pa
 def test_either_a_recording_or_a_dry_run_is_wanted(session: Path, capture, options: list[str], words: str) -> None:
     done = capture("run", session, *options)
     assert done.returncode == 2 and done.stderr.count("\n") == 1 and words in done.stderr
+
+
+def test_a_slow_session_is_slow(session: Path, tmp_path: Path, capture, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What `--slow` says reaches the session's options, and nothing else does in its place."""
+    seen: list[SessionOptions] = []
+    monkeypatch.setattr(run_module, "_every", lambda trajectory, out, options, port: seen.append(options) or ({}, ""))
+    done = capture("run", session, "--scene", "grey_card", "--out", tmp_path / "rec", "--slow", "0.25")
+    assert done.returncode == 0, done.stderr
+    assert (seen[0].slow, seen[0].ignore) == (0.25, ())

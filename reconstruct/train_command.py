@@ -6,6 +6,7 @@ from typing import Annotated, Any
 from typer import Argument, Option
 
 from koala3d.datasets.core import console
+from koala3d.datasets.core.options import Rerun
 from koala3d.reconstruct.options import Budget, ModelName, Preset, Settings
 
 START, SPEED, MACHINES = "Start", "Speed", "Several machines"
@@ -57,10 +58,13 @@ def train(
     coordinator: Coordinator = None,
     processes: Processes = None,
     process: Process = None,
+    rerun: Rerun = None,
     as_json: console.Json = False,
 ) -> None:
     """Train a model on the training views of a scene."""
+    from koala3d.datasets.reports import rerun_file
     from koala3d.reconstruct.backend import cache_compilations
+    from koala3d.reconstruct.page import rerun_training
     from koala3d.reconstruct.run import RUN
     from koala3d.reconstruct.training import distributed
     from koala3d.reconstruct.training.decisions import record
@@ -71,12 +75,15 @@ def train(
     if list_settings:
         return _list_settings(model, preset, set_, as_json)
     out = _agreed(scene, from_, finetune, out)
+    rerun_file.require(rerun)
     distributed.join(coordinator, processes, process)
     config, where, loaded, start_from = _inputs(scene, from_, model, preset, set_, resume and (out / RUN).is_file())
     config = config if rays is None else scaled(config, rays)
     cache_compilations()
     series = start_from is not None and not finetune
-    result = run_training(loaded, where, config, out, budget_s=budget, resume=resume, start_from=start_from, series=series)
+    with rerun_training.watcher(rerun if distributed.writes() else None, loaded) as watch:
+        options = {"budget_s": budget, "resume": resume, "start_from": start_from, "series": series, "watch": watch}
+        result = run_training(loaded, where, config, out, **options)
     console.report(result, as_json=as_json, text=_summary(result, out))
 
 
