@@ -16,7 +16,16 @@ PACKAGES = ("capture", "calib", "datasets", "reconstruct")
 OURS = "koala3d."
 ALLOWED = {package: {package, "datasets", "configs"} for package in PACKAGES} | {"datasets": {"datasets"}}
 VENDORS = {"OpenImageIO": 1, "pypylon": 1, "mitsuba": 2, "rtde_control": 1, "pycolmap": 4}
-VENDORS |= {"harvesters": 1, "genicam": 1, "pyrealsense2": 2, "gphoto2": 1, "ray": 1, "rerun": 1, "rosbags": 1, "nerfbaselines": 1}
+VENDORS |= {
+    "harvesters": 1,
+    "genicam": 1,
+    "pyrealsense2": 2,
+    "gphoto2": 1,
+    "ray": 1,
+    "rerun": 1,
+    "rosbags": 1,
+    "nerfbaselines": 1,
+}
 """Vendor's library: in how many modules it may be imported. mitsuba: laboratory, path tracing of
 assets and scenes. pycolmap: writes files, adjusts bundles, matches features, maps.
 pyrealsense2: driver, software device. genicam: settings and errors."""
