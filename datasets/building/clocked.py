@@ -6,11 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from koala3d.datasets import pose
 from koala3d.datasets.calibration import Calibration
 from koala3d.datasets.core.errors import DatasetError
 from koala3d.datasets.recording import BAG, Frame, Recording
-from koala3d.datasets.track import HALF_STEP_S, SPEEDS, logarithm
+from koala3d.datasets.track import SPEEDS, Track
 
 
 def at_exposure(recording: Recording, frames: Sequence[Frame], calibration: Calibration) -> tuple[list[Frame], list[str]]:
@@ -41,8 +40,7 @@ def speeds(recording: Recording, frames: Sequence[Frame], calibration: Calibrati
     if track is None or hand_eye is None or recording.part(BAG).get("halts"):
         return {}
     moments = track.seconds([frame.host_time_ns for frame in frames]) - (calibration.residuals.latency_s or 0.0)
-    before, after = (track.at(moments + step) @ hand_eye.matrix for step in (-HALF_STEP_S, HALF_STEP_S))
-    found = logarithm(pose.inverse(before) @ after) / (2 * HALF_STEP_S)
+    found = Track(track.times_ns, track.poses @ hand_eye.matrix).speed(moments)
     return {SPEEDS: {frame.name: np.round(one, 9).tolist() for frame, one in zip(frames, found, strict=True)}}
 
 

@@ -76,8 +76,6 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, p
     scene = assemble.scene(gathering, with_test_views(views, hold_out), "bop")
     return replace(scene, metric=True)
 
-    return replace(scene, metric=True)
-
 
 def _entries(content: Any, source: Path) -> dict[str, Any]:
     """What a file says of each image, by its number. Raises DatasetError where it is something else."""
