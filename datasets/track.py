@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from koala3d.datasets import pose
-from koala3d.datasets.core import files
+from koala3d.datasets.core import arrays, files
 from koala3d.datasets.core.errors import DatasetError
 
 Array = NDArray[np.float64]
@@ -79,13 +79,11 @@ class Track:
     @classmethod
     def load(cls, path: Path) -> Self:
         """Read what `save` wrote. Raises UsageError where it is missing, DatasetError where it is damaged."""
-        import io
-
-        try:
-            with np.load(io.BytesIO(files.read_regular(path, LARGEST_BYTES)), allow_pickle=False) as content:
-                times, poses = content["times_ns"], content["poses"]
-        except (OSError, ValueError, KeyError, EOFError) as error:
-            raise DatasetError("path of the flange cannot be read", where=path, why=str(error)) from None
+        content = arrays.read_npz(path, largest=LARGEST_BYTES)
+        if not {"times_ns", "poses"} <= set(content):
+            why = f"it holds {', '.join(content) or 'nothing'}"
+            raise DatasetError("path of the flange is not complete", where=path, why=why)
+        times, poses = content["times_ns"], content["poses"]
         if times.ndim != 1 or len(times) < 2 or poses.shape != (len(times), 4, 4) or not np.isfinite(poses).all():
             raise DatasetError("path of the flange is not complete", where=path, why=f"{times.shape} times, {poses.shape} poses")
         if times.dtype != np.int64 or not (np.diff(times) > 0).all():

@@ -33,15 +33,20 @@ def read_npy(path: Path) -> NDArray[Any]:
         raise _refusal(path, error) from None
 
 
-def read_npz(path: Path, prefixes: tuple[str, ...] = ("",)) -> dict[str, NDArray[Any]]:
-    """The arrays in a .npz file whose names begin with one of `prefixes`. Raises as `read_npy` does."""
-    data = files.read_regular(path, MAX_BYTES, suffixes=(".npz",))
+def read_npz(path: Path, prefixes: tuple[str, ...] = ("",), *, largest: int | None = None) -> dict[str, NDArray[Any]]:
+    """The arrays in a .npz file whose names begin with one of `prefixes`. Raises as `read_npy` does.
+
+    Args:
+        largest: bytes of the file, and of what it unpacks to; None: `MAX_BYTES`.
+    """
+    largest = MAX_BYTES if largest is None else largest
+    data = files.read_regular(path, largest, suffixes=(".npz",))
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             entries = [entry for entry in archive.infolist() if entry.filename.endswith(".npy")]
             entries = [entry for entry in entries if entry.filename.startswith(prefixes)]
             total = sum(entry.file_size for entry in entries)
-            if total > MAX_BYTES:
+            if total > largest:
                 raise DatasetError("archive unpacks to too much", where=path, why=f"{total} bytes", remedy="write it again")
             found = {}
             for entry in entries:
