@@ -54,6 +54,9 @@ class FieldConfig(Schema):
     outward: float = setting(
         0.0, "Predicted normals start as those of a ball about the object: weight of the position in them.", ge=0
     )
+    begins: Literal["fog", "hull"] = setting(
+        "fog", "The density begins as thin fog, or as the visual hull of the masks, held until reflections are known."
+    )
     density_bias: float = setting(0.5, "Added to the raw density before the exponential.")
 
 

@@ -16,6 +16,7 @@ from koala3d.reconstruct.field.encodings.create import create_encoding
 from koala3d.reconstruct.field.encodings.encoding import Encoding
 from koala3d.reconstruct.field.lit import Lit
 from koala3d.reconstruct.field.mlp import Mlp
+from koala3d.reconstruct.field.outline import Outline
 from koala3d.reconstruct.numerics.safe import normalise, safe_exp
 
 
@@ -25,6 +26,8 @@ class Field(eqx.Module):
     encoding: Encoding
     spatial: Mlp
     appearance: Appearance
+    outline: Outline | None
+    """What the density begins with; None: thin fog."""
     density_bias: float = eqx.field(static=True)
     deferred: bool = eqx.field(static=True)
     """Whether a ray is shaded once, on its composited material, or at each of its samples."""
@@ -37,11 +40,13 @@ class Field(eqx.Module):
         field: FieldConfig,
         *,
         start: Start | None = None,
+        outline: Outline | None = None,
     ) -> "Field":
         """Fresh weights for the given sizes.
 
         Args:
             start: where the object is, for appearances that begin differently around it.
+            outline: what the density begins with; None: thin fog.
         """
         encoding_key, spatial_key, view_key = jax.random.split(key, 3)
         encoded = create_encoding(encoding_key, encoding)
@@ -54,11 +59,11 @@ class Field(eqx.Module):
             outputs=1 + appearance.heads + field.bottleneck,
             skip=field.spatial_skip,
         )
-        return cls(encoded, spatial, appearance, field.density_bias, field.shading == "deferred")
+        return cls(encoded, spatial, appearance, outline, field.density_bias, field.shading == "deferred")
 
     def density(self, cloud: Cloud) -> Float[Array, " n"]:
         """Density alone [1 / scene unit]."""
-        return self._activated(self.spatial(cloud.encoded(self.encoding))[0])
+        return self._activated(self.spatial(cloud.encoded(self.encoding))[0], cloud)
 
     def __call__(self, cloud: Cloud) -> tuple[Float[Array, " n"], Material]:
         """Density [1 / scene unit] and material."""
@@ -67,11 +72,14 @@ class Field(eqx.Module):
     def with_normals(self, cloud: Cloud) -> tuple[Float[Array, " n"], Material, Float[Array, "3 n"]]:
         """Density, material and unit normals: minus the direction of the density's gradient, analytically.
 
-        exp is monotonic, so the raw density's gradient has the same direction and never overflows.
+        exp is monotonic, so the gradient of the density's logarithm has the same direction and never overflows.
         """
         features, jacobian = cloud.encoded_with_jacobian(self.encoding)
         raw, sensitivity = self.spatial.with_sensitivity(features)
-        return *self._heads(raw, cloud), -normalise(cloud.gradient(sensitivity, jacobian), axis=0)
+        slope = cloud.gradient(sensitivity, jacobian)
+        if self.outline is not None:
+            slope = self.outline.slope(slope, cloud.centres())
+        return *self._heads(raw, cloud), -normalise(slope, axis=0)
 
     def held_but_for_heads(self) -> "Field":
         """The same, of which only the last layer of the spatial network is learned: a loss of materials then moves no density."""
@@ -100,8 +108,9 @@ class Field(eqx.Module):
         """
         return self.appearance.shade(material, viewdirs, normals, light, places)
 
-    def _activated(self, raw: Float[Array, " n"]) -> Float[Array, " n"]:
-        return safe_exp(raw + self.density_bias)
+    def _activated(self, raw: Float[Array, " n"], cloud: Cloud) -> Float[Array, " n"]:
+        above = raw if self.outline is None else self.outline.log_density(raw, cloud.centres())
+        return safe_exp(above + self.density_bias)
 
     def _heads(self, raw: Float[Array, "channels n"], cloud: Cloud) -> tuple[Float[Array, " n"], Material]:
-        return self._activated(raw[0]), self.appearance.material(raw[1:], cloud.centres())
+        return self._activated(raw[0], cloud), self.appearance.material(raw[1:], cloud.centres())

@@ -13,6 +13,7 @@ from koala3d.reconstruct.field.appearance import Material, Start
 from koala3d.reconstruct.field.cloud import Cloud
 from koala3d.reconstruct.field.field import Field
 from koala3d.reconstruct.field.lit import Lit
+from koala3d.reconstruct.field.outline import Outline
 from koala3d.reconstruct.field.parallax import Parallax, places_on
 from koala3d.reconstruct.numerics.compiling import barrier
 from koala3d.reconstruct.numerics.safe import linear_from_srgb, srgb_from_linear
@@ -23,8 +24,8 @@ from koala3d.reconstruct.sampling.samples import RaySamples
 from koala3d.reconstruct.scene.facts import SceneFacts
 from koala3d.reconstruct.scene.rays import Rays
 
-HELD = ("blur", "grid")
-"""Names of the parts of a model that no gradient goes to: a blur follows a schedule, a grid what training meets."""
+HELD = ("blur", "grid", "outline")
+"""Names of the parts of a model that no gradient goes to: a blur follows a schedule, a grid what training meets, an outline the masks."""
 
 
 class Model(eqx.Module):
@@ -48,7 +49,8 @@ class Model(eqx.Module):
         """
         field_key = jax.random.split(key, 1 + len(config.sampler.proposal_finest))[0]
         start = Start(facts.towards, facts.light, Parallax.of(config.light))
-        field = Field.create(field_key, config.encoding, config.field, start=start)
+        outline = Outline.of(possible) if config.field.begins == "hull" else None
+        field = Field.create(field_key, config.encoding, config.field, start=start, outline=outline)
         sampler = create(key, config, facts, possible, config.field.density_bias)
         gains = first_gains(config, facts, views)
         poses = jnp.zeros((views, 6)) if config.poses.enabled is True else None
@@ -63,6 +65,12 @@ class Model(eqx.Module):
     def blurred(self, blur: Float[Array, ""]) -> "Model":
         """The same with every sample as wide as `blur` [scene unit]."""
         return eqx.tree_at(lambda m: m.field.encoding.blur, self, blur)
+
+    def freed(self, gain: Float[Array, ""]) -> "Model":
+        """The same whose network adds at least so much to the outline that the density began with."""
+        if self.field.outline is None:
+            return self
+        return eqx.tree_at(lambda m: m.field.outline.gain, self, jnp.maximum(self.field.outline.gain, gain))
 
     def split(self) -> tuple["Model", "Model"]:
         """What is learned, and the rest (see `HELD`); `eqx.combine` joins them."""

@@ -4,6 +4,7 @@ Progress is the share of the training that is done, in [0, 1]. Stages of a defau
 those with a key):
 
     0 to 2 %        the learning rate rises (`warmup`), then it falls log-linearly to the end
+    2 to 8 %        a shape that begins as the masks' hull is let go
     0 to 80 %       the blur of samples shrinks (`blur_until`), and with it the finest levels come in
     from 4 %        among surroundings the grid rules out cells (`grid_from`)
     8 to 18 %       solid objects are kept dense behind their surface (`hollowness_from`)
@@ -27,6 +28,10 @@ RISE = 0.1
 """Share of the training over which a late loss comes to its weight."""
 FOG_FROM = 0.2
 """Fog counts from here on: at the start there is nothing else."""
+FREED = (0.02, 0.08)
+"""The network moves the shape ever more freely between these: a gap that is still filled later stays so."""
+GAIN = 2.0
+"""What raw densities are multiplied by from then on: edges get sharper, and gaps open sooner, than with 1."""
 POSES_FROM = 0.1
 """Poses move from here on; their rate rises over `RISE`."""
 FOLLOWING = (0.4, 0.8)
@@ -57,6 +62,10 @@ class Schedule:
         """Standard deviation that every sample has at least [scene unit]."""
         train = self.config.train
         return encoding_blur(progress, first=train.first_blur, last=train.last_blur, until=self.config.schedule.blur_until)
+
+    def gain(self, progress: Progress) -> Float[Array, ""]:
+        """Factor on the raw density, if the shape begins as the masks' hull."""
+        return between(progress, first=0.0, last=GAIN, over=FREED)
 
     def hollowness(self, progress: Progress) -> Float[Array, ""]:
         """Weight of the hollowness."""

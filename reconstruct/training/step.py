@@ -107,7 +107,8 @@ class Step:
 
     def _blurred(self, model: Model, progress: Float[Array, ""]) -> Model:
         """The model as it is trained at this time."""
-        return model.blurred(self.schedule.blur(progress).astype(jnp.float32))
+        blur, gain = self.schedule.blur(progress), self.schedule.gain(progress)
+        return model.blurred(blur.astype(jnp.float32)).freed(gain.astype(jnp.float32))
 
     def begun(
         self,

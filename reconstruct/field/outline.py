@@ -1,0 +1,87 @@
+"""The visual hull of the masks as the shape that a density begins with.
+
+    log density = gain raw + bias + lift,    lift = clip(-distance / WIDTH, OUTSIDE, INSIDE)
+
+While the gain is zero nothing moves the shape, and a mirror's surroundings are learned on nearly the right surface. A density that
+begins as fog explains a mirror by what seems to be behind it, and keeps a hollow there.
+"""
+
+import itertools
+import math
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Float16
+from numpy.typing import NDArray
+
+GRID = 64
+"""Points of the distance per axis of the object's cube."""
+CELL = 2 / GRID
+WIDTH = 0.02
+"""Distance over which the density changes by a factor of e [scene unit]."""
+OUTSIDE, INSIDE = -4.0, 2.0
+"""Bounds of the lift: outside the hull it ends near thin fog, and inside where gaps can still be opened."""
+LEAK = 1e-3
+"""Slope of the lift beyond its bounds, so that there is a normal everywhere."""
+SMOOTHED = 2.0
+"""Standard deviation by which the distance is smoothed [cells of the masks' grid]."""
+NOWHERE = 1.0
+"""Distance if there are no masks: thin fog everywhere [scene unit]."""
+
+
+class Outline(eqx.Module):
+    """Signed distance to the visual hull, negative inside, and how much the network adds to it. Nothing here is learned."""
+
+    distance: Float16[Array, "x y z"]
+    gain: Float[Array, ""]
+    """What the network's raw density is multiplied by; see `Schedule.gain`."""
+
+    @classmethod
+    def of(cls, possible: Bool[NDArray[Any], " cells"] | None) -> "Outline":
+        """Of the cells of a cubic grid over the object's cube that masks leave; None: there are no masks."""
+        distance = np.full((GRID,) * 3, NOWHERE) if possible is None or not possible.any() else _distance(possible)
+        return cls(jnp.asarray(distance, jnp.float16), jnp.zeros(()))
+
+    def log_density(self, raw: Float[Array, " n"], points: Float[Array, "3 n"]) -> Float[Array, " n"]:
+        """Logarithm of the density at points of the scene, but for the bias."""
+        return self.gain * raw + _lift(-self._at(points) / WIDTH)
+
+    def slope(self, slope: Float[Array, "3 n"], points: Float[Array, "3 n"]) -> Float[Array, "3 n"]:
+        """Gradient of `log_density` from that of the raw density, the distance's over a cell to either side [1 / scene unit]."""
+        inward = -self._at(points) / WIDTH
+        factor = jnp.where((inward > OUTSIDE) & (inward < INSIDE), 1.0, LEAK) / WIDTH
+        ends = points[:, None] + np.array([1, -1])[:, None, None, None] * (CELL * np.eye(3)[:, :, None])  # (2, 3, 3, n)
+        ahead, behind = self._at(jnp.moveaxis(ends, 1, 0).reshape(3, -1)).reshape(2, 3, -1)
+        return self.gain * slope - factor * (ahead - behind) / (2 * CELL)
+
+    def _at(self, points: Float[Array, "3 n"]) -> Float[Array, " n"]:
+        """The distance, trilinear between the grid's points; no gradient goes to the points."""
+        place = jnp.clip((jax.lax.stop_gradient(points) + 1) / CELL - 0.5, 0, GRID - 1.001)
+        corner = place.astype(jnp.int32)
+        share, values, total = place - corner, self.distance.reshape(-1), jnp.zeros(points.shape[1])
+        for x, y, z in itertools.product((0, 1), repeat=3):
+            row = ((corner[0] + x) * GRID + corner[1] + y) * GRID + corner[2] + z
+            weight = math.prod(share[i] if far else 1 - share[i] for i, far in enumerate((x, y, z)))
+            total = total + weight * values[row].astype(jnp.float32)
+        return total
+
+
+def _lift(inward: Float[Array, " n"]) -> Float[Array, " n"]:
+    bounded = jnp.clip(inward, OUTSIDE, INSIDE)
+    return bounded + LEAK * (inward - bounded)
+
+
+def _distance(possible: Bool[NDArray[Any], " cells"]) -> NDArray[np.float64]:
+    """(GRID, GRID, GRID) signed distance to the border of the cells [scene unit], smoothed."""
+    from scipy import ndimage
+
+    cells = round(len(possible) ** (1 / 3))
+    inside = np.pad(possible.reshape(cells, cells, cells), cells // 16)  # beyond the cube is outside
+    signed = ndimage.distance_transform_edt(~inside) - ndimage.distance_transform_edt(inside)
+    smooth = ndimage.gaussian_filter(signed, SMOOTHED) * 2 / cells
+    centres = (np.arange(GRID) + 0.5) * (cells / GRID) - 0.5 + cells // 16
+    axes = np.meshgrid(centres, centres, centres, indexing="ij")
+    return ndimage.map_coordinates(smooth, axes, order=1)
