@@ -55,9 +55,9 @@ class FieldConfig(Schema):
         0.0, "Predicted normals start as those of a ball about the object: weight of the position in them.", ge=0
     )
     begins: Literal["fog", "hull"] = setting(
-        "fog", "The density begins as thin fog, or as the visual hull of the masks, held until reflections are known."
+        "fog", "The density begins as fog, or as the visual hull of the masks, held until the reflection knows its light."
     )
-    density_bias: float = setting(0.5, "Added to the raw density before the exponential.")
+    density_bias: float = setting(0.5, "Added to the raw density before the exponential, of a density that begins as fog.")
 
 
 class SamplerConfig(Schema):
@@ -143,7 +143,6 @@ class ScheduleConfig(Schema):
 
     warmup: float = setting(0.02, "The learning rate rises until then.", ge=0, le=1)
     grid_from: float = setting(0.0, "Occupancy: no cell is ruled out earlier.", ge=0, le=1)
-    hollowness_from: float = setting(0.0, "The hollowness does not count earlier: early fog must not be made solid.", ge=0, le=1)
     share_from: float = setting(
         1.0,
         "From then on the first surface of a ray is its first sample of at least half the largest weight; before, the first "

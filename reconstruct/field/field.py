@@ -109,8 +109,9 @@ class Field(eqx.Module):
         return self.appearance.shade(material, viewdirs, normals, light, places)
 
     def _activated(self, raw: Float[Array, " n"], cloud: Cloud) -> Float[Array, " n"]:
-        above = raw if self.outline is None else self.outline.log_density(raw, cloud.centres())
-        return safe_exp(above + self.density_bias)
+        if self.outline is None:
+            return safe_exp(raw + self.density_bias)
+        return safe_exp(self.outline.log_density(raw, cloud.centres()))
 
     def _heads(self, raw: Float[Array, "channels n"], cloud: Cloud) -> tuple[Float[Array, " n"], Material]:
         return self._activated(raw[0], cloud), self.appearance.material(raw[1:], cloud.centres())

@@ -1,6 +1,6 @@
 """The visual hull of the masks as the shape that a density begins with.
 
-    log density = gain raw + bias + lift,    lift = clip(-distance / WIDTH, OUTSIDE, INSIDE)
+    log density = gain raw + clip(BORDER - distance / WIDTH, OUTSIDE, INSIDE)
 
 While the gain is zero nothing moves the shape, and a mirror's surroundings are learned on nearly the right surface. A density that
 begins as fog explains a mirror by what seems to be behind it, and keeps a hollow there.
@@ -22,10 +22,10 @@ GRID = 64
 CELL = 2 / GRID
 WIDTH = 0.02
 """Distance over which the density changes by a factor of e [scene unit]."""
-OUTSIDE, INSIDE = -4.0, 2.0
-"""Bounds of the lift: outside the hull it ends near thin fog, and inside where gaps can still be opened."""
+BORDER, OUTSIDE, INSIDE = 3.0, -1.0, 5.0
+"""Logarithm of the density on the hull, far from it, and deep inside: opaque, but gaps can still be opened."""
 LEAK = 1e-3
-"""Slope of the lift beyond its bounds, so that there is a normal everywhere."""
+"""Slope beyond these bounds, as a share of that between them, so that there is a normal everywhere."""
 SMOOTHED = 2.0
 """Standard deviation by which the distance is smoothed [cells of the masks' grid]."""
 NOWHERE = 1.0
@@ -46,13 +46,15 @@ class Outline(eqx.Module):
         return cls(jnp.asarray(distance, jnp.float16), jnp.zeros(()))
 
     def log_density(self, raw: Float[Array, " n"], points: Float[Array, "3 n"]) -> Float[Array, " n"]:
-        """Logarithm of the density at points of the scene, but for the bias."""
-        return self.gain * raw + _lift(-self._at(points) / WIDTH)
+        """Logarithm of the density [1 / scene unit] at points of the scene."""
+        begun = BORDER - self._at(points) / WIDTH
+        bounded = jnp.clip(begun, OUTSIDE, INSIDE)
+        return self.gain * raw + bounded + LEAK * (begun - bounded)
 
     def slope(self, slope: Float[Array, "3 n"], points: Float[Array, "3 n"]) -> Float[Array, "3 n"]:
         """Gradient of `log_density` from that of the raw density, the distance's over a cell to either side [1 / scene unit]."""
-        inward = -self._at(points) / WIDTH
-        factor = jnp.where((inward > OUTSIDE) & (inward < INSIDE), 1.0, LEAK) / WIDTH
+        begun = BORDER - self._at(points) / WIDTH
+        factor = jnp.where((begun > OUTSIDE) & (begun < INSIDE), 1.0, LEAK) / WIDTH
         ends = points[:, None] + np.array([1, -1])[:, None, None, None] * (CELL * np.eye(3)[:, :, None])  # (2, 3, 3, n)
         ahead, behind = self._at(jnp.moveaxis(ends, 1, 0).reshape(3, -1)).reshape(2, 3, -1)
         return self.gain * slope - factor * (ahead - behind) / (2 * CELL)
@@ -67,11 +69,6 @@ class Outline(eqx.Module):
             weight = math.prod(share[i] if far else 1 - share[i] for i, far in enumerate((x, y, z)))
             total = total + weight * values[row].astype(jnp.float32)
         return total
-
-
-def _lift(inward: Float[Array, " n"]) -> Float[Array, " n"]:
-    bounded = jnp.clip(inward, OUTSIDE, INSIDE)
-    return bounded + LEAK * (inward - bounded)
 
 
 def _distance(possible: Bool[NDArray[Any], " cells"]) -> NDArray[np.float64]:

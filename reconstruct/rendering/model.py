@@ -25,7 +25,7 @@ from koala3d.reconstruct.scene.facts import SceneFacts
 from koala3d.reconstruct.scene.rays import Rays
 
 HELD = ("blur", "grid", "outline")
-"""Names of the parts of a model that no gradient goes to: a blur follows a schedule, a grid what training meets, an outline the masks."""
+"""Names of the parts of a model that no gradient goes to: a blur follows a schedule, a grid what is met, an outline the masks."""
 
 
 class Model(eqx.Module):

@@ -4,10 +4,10 @@ Progress is the share of the training that is done, in [0, 1]. Stages of a defau
 those with a key):
 
     0 to 2 %        the learning rate rises (`warmup`), then it falls log-linearly to the end
-    2 to 8 %        a shape that begins as the masks' hull is let go
+    2 to 20 %       a shape that begins as the masks' hull is let go
     0 to 80 %       the blur of samples shrinks (`blur_until`), and with it the finest levels come in
     from 4 %        among surroundings the grid rules out cells (`grid_from`)
-    8 to 18 %       solid objects are kept dense behind their surface (`hollowness_from`)
+    8 to 18 %       solid objects are kept dense behind their surface
     10 to 20 %      corrections of poses begin to move
     from 20 %       light lost in front of a surface counts
     from 40 %       among surroundings a ray's surface is where half the largest weight is (`share_from`)
@@ -28,10 +28,12 @@ RISE = 0.1
 """Share of the training over which a late loss comes to its weight."""
 FOG_FROM = 0.2
 """Fog counts from here on: at the start there is nothing else."""
-FREED = (0.02, 0.08)
-"""The network moves the shape ever more freely between these: a gap that is still filled later stays so."""
-GAIN = 2.0
-"""What raw densities are multiplied by from then on: edges get sharper, and gaps open sooner, than with 1."""
+FREED = (0.02, 0.2)
+"""The network moves the shape ever more freely between these: sooner the light is not known, later gaps stay filled."""
+GAIN = 4.0
+"""What raw densities are multiplied by from then on: with 1, gaps stay filled."""
+HOLLOWNESS_FROM = 0.08
+"""The hollowness comes in from here on: early fog must not be made solid."""
 POSES_FROM = 0.1
 """Poses move from here on; their rate rises over `RISE`."""
 FOLLOWING = (0.4, 0.8)
@@ -69,7 +71,7 @@ class Schedule:
 
     def hollowness(self, progress: Progress) -> Float[Array, ""]:
         """Weight of the hollowness."""
-        return self.config.losses.hollowness * late(progress, start=self.config.schedule.hollowness_from)
+        return self.config.losses.hollowness * late(progress, start=HOLLOWNESS_FROM)
 
     def fog(self, progress: Progress) -> Float[Array, ""]:
         """Weight of the fog."""

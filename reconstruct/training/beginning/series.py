@@ -72,4 +72,7 @@ def with_weights(fresh: TrainState, run: Run) -> tuple[TrainState, int]:
         remedy = "leave out the --set values that change sizes, or train without --from"
         raise ReconstructError("its weights do not fit the configuration", where=run.path, why=error.why, remedy=remedy) from None
     learned, rest = model.split()[0], fresh.model.split()[1]
-    return eqx.tree_at(lambda state: state.model, fresh, eqx.combine(learned, rest)), step
+    begun = eqx.combine(learned, rest)
+    if model.field.outline is not None:  # the weights say how the shape differs from it
+        begun = eqx.tree_at(lambda m: m.field.outline, begun, model.field.outline)
+    return eqx.tree_at(lambda state: state.model, fresh, begun), step
