@@ -15,6 +15,8 @@ def drawn(config: Config) -> str:
     """The drawing as SVG; what a configuration has not is left out."""
     schedule, losses = Schedule(config), config.losses
     curves = {"learning rate": schedule.rate, "blur of samples": schedule.blur}
+    if config.field.begins == "hull":
+        curves["freedom of the shape"] = schedule.gain
     if losses.hollowness:
         curves["hollowness"] = schedule.hollowness
     if losses.fog:

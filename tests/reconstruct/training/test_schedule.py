@@ -2,7 +2,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from koala3d.reconstruct.models import load_config, of_kinds
-from koala3d.reconstruct.training.schedule import RISE, Schedule, late, learning_rate
+from koala3d.reconstruct.training.schedule import GAIN, RISE, Schedule, late, learning_rate
 
 
 def test_the_rate_is_log_linear_after_warm_up() -> None:
@@ -41,6 +41,7 @@ def test_the_stages_of_a_default_training_are_those_of_the_table() -> None:
     assert [at(among.by_share, p) for p in (0.39, 0.41)] == [0, 1] and at(blank.by_share, 0.0) == 1
     assert at(among.bias, 0.4) == 0 < at(among.bias, 0.45) < at(among.bias, 0.51) == at(blank.bias, 0.0) == 1
     assert at(among.fog, 0.19) == 0 < at(among.fog, 0.21) and at(blank.fog, 0.5) == 0
+    assert at(blank.gain, 0.02) == 0 < at(blank.gain, 0.11) < at(blank.gain, 0.2) == at(blank.gain, 1.0) == GAIN
     for schedule in (among, blank):
         np.testing.assert_allclose([at(schedule.hollowness, p) for p in (0.08, 0.18)], [0, 0.1])
         np.testing.assert_allclose([at(schedule.density_normals, p) for p in (0.4, 0.6, 0.8)], [0.1, 0.3, 0.5], rtol=1e-6)
