@@ -22,6 +22,11 @@ SETTINGS = ("encoding.log2_size=13", "sampler.rays=1000", "sampler.samples=6000"
 """Of a training on it: the fast preset with small tables, which no other array is as large as."""
 
 
+def paint(normal: np.ndarray) -> np.ndarray:
+    """Linear diffuse colour where the ball has unit normals (..., 3)."""
+    return 0.25 + 0.15 * np.sin(normal @ np.diag([9.0, 11.0, 13.0])) + 0.08 * np.cos(7 * normal[..., ::-1])
+
+
 def seen(camera: Camera, world_from_camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Linear colour and opacity of each pixel, and the normals: waves of paint, and a highlight of the sun."""
     directions = camera.directions(camera.pixel_centres()) @ world_from_camera[:3, :3].T
@@ -30,10 +35,9 @@ def seen(camera: Camera, world_from_camera: np.ndarray) -> tuple[np.ndarray, np.
     along, inside = directions @ origin, (directions @ origin) ** 2 - origin @ origin + RADIUS**2
     hit = (inside > 0)[..., None]
     normal = (origin + (-along - np.sqrt(np.maximum(inside, 0)))[..., None] * directions) / RADIUS
-    paint = 0.25 + 0.15 * np.sin(normal @ np.diag([9.0, 11.0, 13.0])) + 0.08 * np.cos(7 * normal[..., ::-1])
     reflected = directions - 2 * np.sum(directions * normal, -1, keepdims=True) * normal
     highlight = 0.8 * np.exp(20 * (reflected @ SUN - 1))[..., None]
-    return np.concatenate([paint + highlight, np.ones_like(highlight)], -1) * hit, normal * hit
+    return np.concatenate([paint(normal) + highlight, np.ones_like(highlight)], -1) * hit, normal * hit
 
 
 def save(root: Path) -> Path:
