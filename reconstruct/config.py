@@ -206,7 +206,7 @@ class SkipConfig(Schema):
     empty_rays: bool = setting(True, "Space that masks or the occupancy grid rule out, and rays that meet only such space.")
 
 
-Kind = Literal["blank", "surroundings", "unnamed", "matte"]
+Kind = Literal["blank", "surroundings", "unnamed", "matte", "painted"]
 
 
 class Overlays(Schema):
@@ -216,6 +216,7 @@ class Overlays(Schema):
     surroundings: dict[str, Any] = setting({}, "Where they show what is around it.")
     unnamed: dict[str, Any] = setting({}, "Where neither masks nor the scene's box say what the object is.")
     matte: dict[str, Any] = setting({}, "Where most of the object keeps its colour from view to view.")
+    painted: dict[str, Any] = setting({}, "Where it reflects, but views of a place agree on most of its light.")
 
 
 class Config(Schema):

@@ -7,7 +7,6 @@ Points, directions and channels come first: (3, n), (channels, n).
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from koala3d.reconstruct.config import EncodingConfig, FieldConfig
@@ -115,7 +114,4 @@ class Field(eqx.Module):
         return safe_exp(self.outline.log_density(raw, cloud.centres()))
 
     def _heads(self, raw: Float[Array, "channels n"], cloud: Cloud) -> tuple[Float[Array, " n"], Material]:
-        heads = raw[1:]
-        if self.outline is not None and self.appearance.has_diffuse:
-            heads = jnp.concatenate([self.outline.painted(heads[:3], cloud.centres()), heads[3:]])
-        return self._activated(raw[0], cloud), self.appearance.material(heads, cloud.centres())
+        return self._activated(raw[0], cloud), self.appearance.material(raw[1:], cloud.centres())

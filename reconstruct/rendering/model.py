@@ -13,7 +13,7 @@ from koala3d.reconstruct.field.appearance import Material, Start
 from koala3d.reconstruct.field.cloud import Cloud
 from koala3d.reconstruct.field.field import Field
 from koala3d.reconstruct.field.lit import Lit
-from koala3d.reconstruct.field.outline import Hull, Outline
+from koala3d.reconstruct.field.outline import Outline
 from koala3d.reconstruct.field.parallax import Parallax, places_on
 from koala3d.reconstruct.numerics.compiling import barrier
 from koala3d.reconstruct.numerics.safe import linear_from_srgb, srgb_from_linear
@@ -40,23 +40,16 @@ class Model(eqx.Module):
 
     @classmethod
     def create(
-        cls,
-        key: PRNGKeyArray,
-        config: Config,
-        facts: SceneFacts,
-        views: int = 0,
-        possible: NDArray[Any] | None = None,
-        hull: Hull | None = None,
+        cls, key: PRNGKeyArray, config: Config, facts: SceneFacts, views: int = 0, possible: NDArray[Any] | None = None
     ) -> "Model":
         """Fresh weights; gains and poses of `views` training views only where the configuration wants them.
 
         Args:
             possible: cells that can hold anything, see `Sampler.possible_cells`.
-            hull: what a density that begins as one begins with.
         """
         field_key = jax.random.split(key, 1 + len(config.sampler.proposal_finest))[0]
         start = Start(facts.towards, facts.light, Parallax.of(config.light))
-        outline = Outline.of(hull, config.field.diffuse_bias) if config.field.begins == "hull" else None
+        outline = Outline.of(possible) if config.field.begins == "hull" else None
         field = Field.create(field_key, config.encoding, config.field, start=start, outline=outline)
         sampler = create(key, config, facts, possible, config.field.density_bias)
         gains = first_gains(config, facts, views)

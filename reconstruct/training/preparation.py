@@ -4,6 +4,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import jax
+import numpy as np
+from numpy.typing import NDArray
 
 from koala3d.datasets.core.console import progress
 from koala3d.datasets.imaging.copies import Copies
@@ -18,7 +20,6 @@ from koala3d.reconstruct.scene.rays import Normalisation, Pixels
 from koala3d.reconstruct.scene.reading import training_pixels
 from koala3d.reconstruct.training import distributed
 from koala3d.reconstruct.training.batches import Division
-from koala3d.reconstruct.training.beginning import first_shape
 from koala3d.reconstruct.training.decisions import poses as pose_decision
 from koala3d.reconstruct.training.decisions.decide import decided
 from koala3d.reconstruct.training.decisions.matches import matches_of
@@ -64,10 +65,7 @@ def prepare(
     if fresh:
         config, refined = pose_decision.decided(config, matches, scene, normalisation)
         skips.append(refined)
-    all_pixels, scale = _all_of(pixels, pool, views, normalisation, config)
-    reach = poses.slack(config.poses, normalisation)
-    wanted = sampler_type(config.sampler).possible_cells
-    possible = wanted(config.model_copy(update={"scale": scale}), all_pixels, views, normalisation, reach)
+    possible = _possible_cells(config, pixels, pool, views, normalisation)
     facts = known
     if facts is None:
         config, facts, others = decided(scene, pixels, normalisation, possible, matches, config)
@@ -77,10 +75,7 @@ def prepare(
         config = sized(config, facts, pixels)
     config = Config.model_validate_json(distributed.decided_text(config.model_dump_json()))
     step = Step.of(config, facts)
-    hull = None
-    if config.field.begins == "hull" and possible is not None:
-        hull = first_shape.measured(possible, views, all_pixels, normalisation, scale)
-    state = step.initial(jax.random.key(config.train.seed), possible, len(views), hull)
+    state = step.initial(jax.random.key(config.train.seed), possible, len(views))
     step = replace(step, division=Division.among(jax.devices(), state.model.sampler.divided_sizes))
     distributed.require_same((state, pixels), "scene")
     if pool is not None:
@@ -88,14 +83,13 @@ def prepare(
     return Prepared(step, state, pixels, Probe.of(scene, config, normalisation, copies, facts.light), pool, skips)
 
 
-def _all_of(
-    pixels: Pixels, pool: Pool | None, views: tuple[View, ...], normalisation: Normalisation, config: Config
-) -> tuple[Pixels, float]:
-    """The pixels of all views and their scale: those of small pictures if there are too many to hold.
-
-    Among surroundings nobody asks for them.
-    """
-    if pool is None or not normalisation.bounded:
-        return pixels, config.scale
-    with progress("reading masks", len(views), "images") as shown:
-        return Pixels.load(views, normalisation, pool.overview_scale, shown), pool.overview_scale
+def _possible_cells(
+    config: Config, pixels: Pixels, pool: Pool | None, views: tuple[View, ...], normalisation: Normalisation
+) -> NDArray[np.bool_] | None:
+    """See `Sampler.possible_cells`; from small pictures where there are too many pixels to hold."""
+    if pool is not None and normalisation.bounded:
+        config = config.model_copy(update={"scale": pool.overview_scale})
+        with progress("reading masks", len(views), "images") as shown:
+            pixels = Pixels.load(views, normalisation, config.scale, shown)
+    slack = poses.slack(config.poses, normalisation)
+    return sampler_type(config.sampler).possible_cells(config, pixels, views, normalisation, slack)

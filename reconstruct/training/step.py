@@ -12,7 +12,6 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from numpy.typing import NDArray
 
 from koala3d.reconstruct.config import Config
-from koala3d.reconstruct.field.outline import Hull
 from koala3d.reconstruct.numerics.compiling import barrier, compiler_options
 from koala3d.reconstruct.rendering.model import Model
 from koala3d.reconstruct.sampling.create import sampler_type
@@ -80,11 +79,9 @@ class Step:
             Schedule(config),
         )
 
-    def initial(
-        self, key: PRNGKeyArray, possible: NDArray[Any] | None = None, views: int = 0, hull: Hull | None = None
-    ) -> TrainState:
-        """Fresh weights, for a training on this many views. `possible` and `hull`: see `Model.create`."""
-        model = Model.create(key, self.config, self.facts, views, possible, hull)
+    def initial(self, key: PRNGKeyArray, possible: NDArray[Any] | None = None, views: int = 0) -> TrainState:
+        """Fresh weights, for a training on this many views. `possible`: see `Sampler.possible_cells`."""
+        model = Model.create(key, self.config, self.facts, views, possible)
         moments = self.optimiser.begin(model.split()[0])
         return TrainState(model, moments, jnp.zeros((), jnp.int32), jnp.zeros((), jnp.int32))
 

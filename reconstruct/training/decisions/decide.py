@@ -13,7 +13,15 @@ from koala3d.reconstruct.config import Config, Kind
 from koala3d.reconstruct.models import of_kinds
 from koala3d.reconstruct.scene.facts import SceneFacts
 from koala3d.reconstruct.scene.rays import Normalisation, Pixels
-from koala3d.reconstruct.training.decisions import contraction, empty_space, exposure, reflection, regularisers, surroundings
+from koala3d.reconstruct.training.decisions import (
+    contraction,
+    dark_start,
+    empty_space,
+    exposure,
+    reflection,
+    regularisers,
+    surroundings,
+)
 from koala3d.reconstruct.training.decisions.gains import gains_between
 from koala3d.reconstruct.training.decisions.lamps import decided_light
 from koala3d.reconstruct.training.decisions.matches import SIDE
@@ -58,11 +66,15 @@ def decided(
     matte = matte_share(matches, scene.box, SIDE) if matches is not None and telling else None
     gains = None if matches is None else gains_between(matches)
     named, shiny = regularisers.decided(normalisation, scene, config), reflection.decided(matte, config)
+    still = normalisation.bounded and not light.moves and not shiny.skipped
+    dark = dark_start.decided(pixels, possible if still else None, config)
     kinds: list[Kind] = ["blank" if normalisation.bounded else "surroundings"]
-    kinds += [kind for kind, skip in (("unnamed", named), ("matte", shiny)) if skip.skipped]
+    kinds += [kind for kind, skip in (("unnamed", named), ("matte", shiny), ("painted", dark)) if skip.skipped]
     config, gain = exposure.decided(gains, of_kinds(config, kinds))
     facts = replace(SceneFacts.of(scene, views, normalisation), light=light)
     if gains is not None and config.train.per_image != "none":
         facts = facts.with_gains(gains.log_gains_of(views))
     around = surroundings.decided(normalisation, pixels, config), contraction.decided(normalisation, config)
-    return Decided(config, facts, [*around, empty_space.decided(normalisation, possible, config), named, shiny, gain, lamps])
+    return Decided(
+        config, facts, [*around, empty_space.decided(normalisation, possible, config), named, shiny, dark, gain, lamps]
+    )

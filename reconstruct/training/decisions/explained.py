@@ -11,18 +11,15 @@ from itertools import combinations_with_replacement
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinates
 
 from koala3d.datasets.imaging.images import linear_from_srgb
 from koala3d.datasets.scene import View
-from koala3d.datasets.structure.masks.silhouette import PIXELS_APART
 from koala3d.reconstruct.scene.light import LightFrame
 from koala3d.reconstruct.scene.rays import Pixels
+from koala3d.reconstruct.training.decisions.hull_points import hull_points, pixel_width
 
 PIXELS, FEWEST = 20_000, 2_000
 """Pixels that are fitted, at most and at least."""
-STEPS = 192
-"""Steps of a ray through the cube."""
 FOLD = 5
 """Every so many views one is left out of the fit."""
 WAVES = ((2.0, 100), (6.0, 200))
@@ -49,8 +46,7 @@ def errors(
     rays, colour = pixels.take(jnp.asarray(np.sort(chosen)))
     viewdirs = np.asarray(rays.viewdirs, np.float64)
     origins = np.asarray(rays.origins, np.float64)
-    pixel = np.median(np.asarray(rays.radii) * np.linalg.norm(origins, axis=-1)) * np.sqrt(12) / 2
-    points, normals = _hull_points(origins, viewdirs, possible, pixel)
+    points, normals = hull_points(origins, viewdirs, possible, pixel_width(rays))
     facing = -np.sum(normals * viewdirs, -1)
     seen = facing > GRAZING
     view = np.asarray(rays.view)[seen]
@@ -76,32 +72,6 @@ def monomials(directions: Vectors, degree: int) -> Float[np.ndarray, "n terms"]:
     """Products of `degree` components: two successive degrees span the harmonics up to the higher one."""
     chosen = combinations_with_replacement(range(3), degree)
     return np.stack([directions[:, list(each)].prod(-1) for each in chosen], -1)
-
-
-def _hull_points(
-    origins: Vectors, viewdirs: Vectors, possible: Bool[np.ndarray, " cells"], pixel: float
-) -> tuple[Vectors, Vectors]:
-    """Where rays meet the hull, smoothed, and its unit outward normals; zero normals for those that miss it.
-
-    Args:
-        pixel: width of a pixel at the object [scene unit]. Cells are left that are partly inside the masks, or nearly so:
-            the hull is as much smaller.
-    """
-    size = round(len(possible) ** (1 / 3))
-    solid = possible.reshape((size,) * 3)
-    wider = np.sqrt(3) / 2 + PIXELS_APART * pixel * size / 2
-    depth = distance_transform_edt(solid) - distance_transform_edt(~solid) - wider
-    soft = gaussian_filter(depth.astype(np.float32), 1.5)
-    nearest, reach = -np.sum(origins * viewdirs, -1), np.sqrt(3)
-    t = nearest[:, None] + np.linspace(-reach, reach, STEPS)
-    along = origins[:, None] + t[..., None] * viewdirs[:, None]
-    cell = np.clip((along + 1) / 2 * size, 0, size - 1).astype(int)
-    inside = (soft[tuple(np.moveaxis(cell, -1, 0))] > 0) & np.all(np.abs(along) < 1, -1)
-    points = along[np.arange(len(t)), inside.argmax(-1)]
-    place = ((points + 1) / 2 * size - 0.5).T
-    slope = np.stack([map_coordinates(axis, place, order=1, mode="nearest") for axis in np.gradient(soft)], -1)
-    length = np.linalg.norm(slope, axis=-1, keepdims=True)
-    return points, np.where(inside.any(-1, keepdims=True), -slope / np.maximum(length, 1e-9), 0.0)
 
 
 def _left_out(features: Float[np.ndarray, "n terms"], target: Vectors, held: Bool[np.ndarray, " n"]) -> float:
