@@ -2,7 +2,7 @@
 
     log density = gain raw + clip(BORDER - distance / WIDTH, OUTSIDE, INSIDE)
 
-While the gain is zero nothing moves the shape, and a mirror's surroundings are learned on nearly the right surface. A density that
+While the gain is zero nothing moves the shape, and what a mirror shows is learned on nearly the right surface. A density that
 begins as fog explains a mirror by what seems to be behind it, and keeps a hollow there.
 """
 

@@ -22,7 +22,7 @@ from koala3d.reconstruct.training import distributed
 from koala3d.reconstruct.training.batches import Division
 from koala3d.reconstruct.training.decisions import poses as pose_decision
 from koala3d.reconstruct.training.decisions.decide import decided
-from koala3d.reconstruct.training.decisions.matches import matches_of
+from koala3d.reconstruct.training.decisions.evidence.matches import matches_of
 from koala3d.reconstruct.training.decisions.skip import Skip
 from koala3d.reconstruct.training.ray_count import sized
 from koala3d.reconstruct.training.step import Step, TrainState

@@ -1,54 +1,21 @@
 """Whether reflections carry all colour at the start: not of a painted object.
 
 On a surface that begins nearly right, as the masks' hull, a reflection explains paint as well as a diffuse colour does, and keeps
-it. A metal needs the reverse: what its diffuse colour takes at the start becomes a painted hollow. The views of a place on the hull
-tell them apart: they agree on paint, highlights apart, and not on what a metal mirrors.
+it. A metal needs the reverse: what its diffuse colour takes at the start becomes a painted hollow. How far the views of a place
+agree tells them apart.
 """
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool
 
-from koala3d.datasets.imaging.images import linear_from_srgb
 from koala3d.reconstruct.config import Config
 from koala3d.reconstruct.scene.rays import Pixels
-from koala3d.reconstruct.training.decisions.hull_points import hull_points, pixel_width
+from koala3d.reconstruct.training.decisions.evidence.agreement import agreement
 from koala3d.reconstruct.training.decisions.skip import Skip
 
 NAME, WHAT = "dark_start", "reflections that carry all colour at the start"
 PAINTED = 0.73
 """Agreement from which on an object counts as painted; docs/skipping.md has it for many scenes."""
-PIXELS = 30_000
-"""Pixels that are looked at, at most."""
-CELLS = 48
-"""Places on the object: cells of the cube per axis."""
-FEWEST, LEAST_PLACES = 8, 100
-"""Pixels of a place, and places, that say anything."""
-GRAZING = 0.3
-"""Cosine to the camera below which a pixel is not used."""
-LOW, HIGH = 0.2, 0.8
-"""Quantiles that are compared: highlights are brighter than the upper one."""
-DARK = 1e-3
-"""Added to linear light that something is divided by."""
-
-
-def agreement(pixels: Pixels, possible: Bool[np.ndarray, " cells"]) -> float | None:
-    """How far the views of a place agree on its light: the 20 % by the 80 % quantile, in the middle of all places, 0..1.
-
-    None where too little is seen.
-
-    Args:
-        possible: cells of the object's cube that masks leave.
-    """
-    chosen = np.random.default_rng(0).permutation(np.flatnonzero(np.asarray(pixels.colour[:, 3]) > 0.99))[:PIXELS]
-    rays, colour = pixels.take(jnp.asarray(np.sort(chosen)))
-    viewdirs, origins = (np.asarray(values, np.float64) for values in (rays.viewdirs, rays.origins))
-    points, normals = hull_points(origins, viewdirs, possible, pixel_width(rays))
-    seen = -np.sum(normals * viewdirs, -1) > GRAZING
-    light = linear_from_srgb(np.clip(np.asarray(colour)[seen, :3], 0, None)).mean(-1)
-    cells = np.clip((points[seen] + 1) / 2 * CELLS, 0, CELLS - 1).astype(int)
-    low, high = _quantiles(np.ravel_multi_index(tuple(cells.T), (CELLS,) * 3), light)
-    return float(np.median(low / (high + DARK))) if len(low) >= LEAST_PLACES else None
 
 
 def decided(pixels: Pixels, possible: Bool[np.ndarray, " cells"] | None, config: Config) -> Skip:
@@ -64,14 +31,3 @@ def decided(pixels: Pixels, possible: Bool[np.ndarray, " cells"] | None, config:
         return Skip(NAME, WHAT, False, "without masks, or under lamps that move, nothing tells paint from metal")
     evidence = f"views of a place agree on {agreed:.0%} of its light; on paint that is {PAINTED:.0%} or more"
     return Skip(NAME, WHAT, agreed >= PAINTED, evidence)
-
-
-def _quantiles(
-    place: Int[np.ndarray, " n"], light: Float[np.ndarray, " n"]
-) -> tuple[Float[np.ndarray, " places"], Float[np.ndarray, " places"]]:
-    """`LOW` and `HIGH` quantile of the light of each place that has enough pixels."""
-    order = np.lexsort((light, place))
-    _, first, count = np.unique(place[order], return_index=True, return_counts=True)
-    first, count = first[count >= FEWEST], count[count >= FEWEST]
-    low, high = (light[order][first + np.round(share * (count - 1)).astype(int)] for share in (LOW, HIGH))
-    return low, high

@@ -22,10 +22,10 @@ from koala3d.reconstruct.training.decisions import (
     regularisers,
     surroundings,
 )
-from koala3d.reconstruct.training.decisions.gains import gains_between
+from koala3d.reconstruct.training.decisions.evidence.gains import gains_between
+from koala3d.reconstruct.training.decisions.evidence.matches import SIDE
+from koala3d.reconstruct.training.decisions.evidence.matte import matte_share
 from koala3d.reconstruct.training.decisions.lamps import decided_light
-from koala3d.reconstruct.training.decisions.matches import SIDE
-from koala3d.reconstruct.training.decisions.matte import matte_share
 from koala3d.reconstruct.training.decisions.skip import Skip
 
 

@@ -2,7 +2,7 @@
 
 from koala3d.reconstruct.config import Config
 from koala3d.reconstruct.models import merged_config
-from koala3d.reconstruct.training.decisions.gains import Differences
+from koala3d.reconstruct.training.decisions.evidence.gains import Differences
 from koala3d.reconstruct.training.decisions.skip import Skip
 
 NAME, WHAT = "exposure", "a gain of each picture's light"

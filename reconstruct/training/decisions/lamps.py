@@ -9,7 +9,7 @@ from koala3d.reconstruct.config import Config
 from koala3d.reconstruct.scene.light import STILL, Frame, LightFrame
 from koala3d.reconstruct.scene.rays import Normalisation, Pixels
 from koala3d.reconstruct.scene.turntable import Turning, turning
-from koala3d.reconstruct.training.decisions import explained
+from koala3d.reconstruct.training.decisions.evidence import explained
 from koala3d.reconstruct.training.decisions.skip import Skip
 
 NAME, WHAT = "moving_lamps", "light that moves about the object"

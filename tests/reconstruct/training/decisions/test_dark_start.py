@@ -11,6 +11,7 @@ from koala3d.reconstruct.sampling.hull import cells_in_masks
 from koala3d.reconstruct.scene.rays import Normalisation, Pixels
 from koala3d.reconstruct.scene.reading import training_pixels
 from koala3d.reconstruct.training.decisions import dark_start
+from koala3d.reconstruct.training.decisions.evidence.agreement import agreement
 from tests.small import Trainable
 
 CELLS = 64
@@ -35,19 +36,19 @@ def of_colour(pixels: Pixels, light: np.ndarray) -> Pixels:
 
 def test_views_agree_on_paint_and_not_on_what_a_mirror_shows(painted: tuple[Pixels, np.ndarray]) -> None:
     pixels, cells = painted
-    found = dark_start.agreement(pixels, cells)
+    found = agreement(pixels, cells)
     assert found is not None and found > dark_start.PAINTED  # waves of paint over a cell and a highlight, and still
     shows_lamp = np.random.default_rng(0).random(len(pixels.origins)) < 0.5
     mirror = of_colour(pixels, np.where(shows_lamp[np.asarray(pixels.view)], 0.8, 0.5))
-    found = dark_start.agreement(mirror, cells)
+    found = agreement(mirror, cells)
     assert found is not None and 0.3 < found < 0.5  # 0.21 and 0.60 of linear light; some places show one of them alone
-    even = dark_start.agreement(of_colour(pixels, np.full(pixels.total, 0.5)), cells)
+    even = agreement(of_colour(pixels, np.full(pixels.total, 0.5)), cells)
     np.testing.assert_allclose(even, 1.0, atol=0.01)  # `DARK` in 0.2
 
 
 def test_too_few_pixels_tell_nothing(painted: tuple[Pixels, np.ndarray]) -> None:
     pixels, cells = painted
-    assert dark_start.agreement(pixels, np.zeros_like(cells)) is None
+    assert agreement(pixels, np.zeros_like(cells)) is None
 
 
 def test_the_overlay_for_paint_holds_where_views_agree(trainable: Trainable) -> None:

@@ -14,7 +14,7 @@ from koala3d.reconstruct.sampling.hull import cells_in_masks
 from koala3d.reconstruct.scene.rays import Normalisation
 from koala3d.reconstruct.training.decisions import exposure, reflection, regularisers
 from koala3d.reconstruct.training.decisions.decide import Decided, decided, normalisation_of
-from koala3d.reconstruct.training.decisions.gains import Differences
+from koala3d.reconstruct.training.decisions.evidence.gains import Differences
 from tests.small import pixels_of
 
 
@@ -29,7 +29,7 @@ def decisions(scene: Scene, *overrides: str, masks: bool = False) -> Decided:
 def test_a_masked_scene_is_blank_and_mostly_empty(make_scene: Callable[..., Scene]) -> None:
     config, facts, skips = decisions(make_scene(mask=True), masks=True)
     found = {skip.name: skip for skip in skips}
-    assert set(found) == {*SkipConfig.model_fields, "exposure", "moving_lamps"}
+    assert set(found) == {*SkipConfig.model_fields, "dark_start", "exposure", "moving_lamps"}
     assert facts.normalisation.bounded and config.kinds == ("blank",)
     nothing = 1 - np.pi * 20**2 / (96 * 72)  # the mask is a disc of 20 pixels
     assert found["surroundings"].skipped and f"{nothing:.0%}" in found["surroundings"].evidence

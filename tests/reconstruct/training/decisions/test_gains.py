@@ -5,7 +5,7 @@ import pytest
 
 from koala3d.datasets.scene import Scene
 from koala3d.datasets.structure.exposure import ExposureGains
-from koala3d.reconstruct.training.decisions.gains import Differences
+from koala3d.reconstruct.training.decisions.evidence.gains import Differences
 
 
 def differing(log: list[float], std: float = 0.01) -> Differences:

@@ -22,7 +22,7 @@ from koala3d.reconstruct.run import Run
 from koala3d.reconstruct.sampling.create import sampler_type
 from koala3d.reconstruct.scene.light import STILL, LightFrame
 from koala3d.reconstruct.scene.rays import Normalisation, Pixels
-from koala3d.reconstruct.training.decisions.explained import monomials
+from koala3d.reconstruct.training.decisions.evidence.explained import monomials
 from koala3d.reconstruct.training.decisions.lamps import decided_light
 from koala3d.reconstruct.training.loop import train
 from koala3d.reconstruct.training.preparation import prepare

@@ -5,8 +5,8 @@ import pytest
 
 from koala3d.datasets.scene import Scene
 from koala3d.reconstruct.models import load_config
-from koala3d.reconstruct.training.decisions.matches import matches_of
-from koala3d.reconstruct.training.decisions.matte import matte_share
+from koala3d.reconstruct.training.decisions.evidence.matches import matches_of
+from koala3d.reconstruct.training.decisions.evidence.matte import matte_share
 from koala3d.reconstruct.training.decisions.reflection import MOSTLY
 from tests.reconstruct.training.decisions.textured import textured_wall
 

@@ -10,7 +10,7 @@ from koala3d.datasets.scene import Scene
 from koala3d.reconstruct.config import Config
 from koala3d.reconstruct.models import load_config
 from koala3d.reconstruct.scene.rays import Normalisation
-from koala3d.reconstruct.training.decisions.matches import matches_of
+from koala3d.reconstruct.training.decisions.evidence.matches import matches_of
 from koala3d.reconstruct.training.decisions.poses import decided as decided_on
 from koala3d.reconstruct.training.decisions.skip import Skip
 from tests.reconstruct.training.decisions.textured import textured_wall

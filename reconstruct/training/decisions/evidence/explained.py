@@ -16,7 +16,7 @@ from koala3d.datasets.imaging.images import linear_from_srgb
 from koala3d.datasets.scene import View
 from koala3d.reconstruct.scene.light import LightFrame
 from koala3d.reconstruct.scene.rays import Pixels
-from koala3d.reconstruct.training.decisions.hull_points import hull_points, pixel_width
+from koala3d.reconstruct.training.decisions.evidence.hull_points import hull_points, pixel_width
 
 PIXELS, FEWEST = 20_000, 2_000
 """Pixels that are fitted, at most and at least."""
