@@ -57,6 +57,9 @@ class FieldConfig(Schema):
     begins: Literal["fog", "hull"] = setting(
         "fog", "The density begins as fog, or as the visual hull of the masks, held until the reflection knows its light."
     )
+    opacity: Literal["length", "rise"] = setting(
+        "length", "Light is lost along the way through a density, or where the density rises, as at a surface."
+    )
     density_bias: float = setting(0.5, "Added to the raw density before the exponential, of a density that begins as fog.")
 
 

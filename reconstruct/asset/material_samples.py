@@ -17,6 +17,7 @@ from koala3d.reconstruct.field.field import Field
 from koala3d.reconstruct.field.lit import Lit
 from koala3d.reconstruct.numerics.compiling import compiled
 from koala3d.reconstruct.numerics.safe import normalise
+from koala3d.reconstruct.numerics.volume import optical_depth, volume_weights
 from koala3d.reconstruct.output.trained_model import TrainedModel
 from koala3d.reconstruct.rendering.pictures import ahead
 from koala3d.reconstruct.scene.light import LightFrame
@@ -113,9 +114,9 @@ def _composited(
     points = start[:, :, None] - outward[:, :, None] * offsets
     density, material = field(Cloud(points.reshape(3, -1), None, space))
     count = start.shape[1]
-    absorbed = density.reshape(count, STEPS) * step
-    before = jnp.cumsum(absorbed, axis=-1) - absorbed
-    weights = -jnp.expm1(-absorbed) * jnp.exp(-before)
+    density = density.reshape(count, STEPS)
+    before = jnp.pad(density[:, :-1], ((0, 0), (1, 0)))
+    weights = volume_weights(optical_depth(density, before, jnp.broadcast_to(step, density.shape), field.solid))
     opacity = jnp.sum(weights, -1)
     stacked = material.stacked()
     mean = jnp.sum(stacked.reshape(stacked.shape[0], count, STEPS) * weights, -1) / jnp.maximum(opacity, 1e-6)

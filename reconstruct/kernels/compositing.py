@@ -10,19 +10,18 @@ from jaxtyping import Array, Float
 from koala3d.reconstruct.kernels import native
 
 Values = tuple[Float[Array, "_ n"], ...]
-Interval = tuple[Any, ...]
-"""Of each sample: ray, slot, t, length, valid; and the length of each ray's direction."""
+Places = tuple[Any, ...]
+"""Of each sample: ray, slot, t, valid."""
 
 
-def takes(density: Any, values: Values) -> bool:
+def takes(depth: Any, values: Values) -> bool:
     """Whether the kernels are for these arrays."""
-    return native.usable(density, *values)
+    return native.usable(depth, *values)
 
 
-def _call(slots: int, density: Array, values: Values, interval: Interval) -> tuple[Array, Array]:
-    rays, channels = interval[-1].shape[0], 2 + sum(value.shape[0] for value in values)
-    results = [native.float32(rays, slots), native.float32(channels, rays)]
-    weights, sums = native.call("composite", results, *interval, density, *values)
+def _call(table: tuple[int, int], depth: Array, values: Values, places: Places) -> tuple[Array, Array]:
+    results = [native.float32(*table), native.float32(2 + sum(value.shape[0] for value in values), table[0])]
+    weights, sums = native.call("composite", results, *places, depth, *values)
     return weights, sums
 
 
@@ -30,24 +29,27 @@ _composited = jax.custom_vjp(_call, nondiff_argnums=(0,))
 
 
 def composited(
-    density: Float[Array, " n"], values: Values, interval: Interval, slots: int
+    depth: Float[Array, " n"], values: Values, places: Places, table: tuple[int, int]
 ) -> tuple[Float[Array, "rays slots"], Float[Array, "channels rays"]]:
     """Weights of samples, and sums over each ray of weights, of weighted t and of weighted values.
 
-    Differentiable to density and values; where samples lie is data.
+    Differentiable to optical depth and values; where samples lie is data.
+
+    Args:
+        table: number of rays and of slots.
     """
-    return _composited(slots, density, values, interval)
+    return _composited(table, depth, values, places)
 
 
-def _forward(slots: int, density: Array, values: Values, interval: Interval) -> tuple[tuple[Array, Array], Any]:
-    return _call(slots, density, values, interval), (density, values, interval)
+def _forward(table: tuple[int, int], depth: Array, values: Values, places: Places) -> tuple[tuple[Array, Array], Any]:
+    return _call(table, depth, values, places), (depth, values, places)
 
 
-def _backward(slots: int, saved: Any, cotangents: tuple[Array, Array]) -> tuple[Array, Values, Interval]:
-    density, values, interval = saved
-    shapes = [native.float32(*array.shape) for array in (density, *values)]
-    of_density, *of_values = native.call("composite_back", shapes, *interval, density, *values, *cotangents)
-    return of_density, tuple(of_values), jax.tree.map(_nothing, interval)
+def _backward(table: tuple[int, int], saved: Any, cotangents: tuple[Array, Array]) -> tuple[Array, Values, Places]:
+    depth, values, places = saved
+    shapes = [native.float32(*array.shape) for array in (depth, *values)]
+    of_depth, *of_values = native.call("composite_back", shapes, *places, depth, *values, *cotangents)
+    return of_depth, tuple(of_values), jax.tree.map(_nothing, places)
 
 
 def _nothing(array: Array) -> Any:

@@ -1,4 +1,4 @@
-"""Emission and absorption along a ray: from densities to weights."""
+"""Emission and absorption along a ray: from densities to optical depths, and from those to weights."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -8,24 +8,54 @@ OPAQUE = 80.0
 """Optical depth at which an interval counts as opaque: exp(-80) is 0 beside anything that float32 can show."""
 
 
-def volume_weights(density: Float[Array, "rays samples"], lengths: Float[Array, "rays samples"]) -> Float[Array, "rays samples"]:
+SURFACE = 1 / 64
+"""What a rise of the density is multiplied by: the surface of a solid is where the density is ln 2 / SURFACE [scene unit]."""
+
+
+def optical_depth(
+    density: Float[Array, "*n"], before: Float[Array, "*n"], lengths: Float[Array, "*n"], solid: Float[Array, ""] | None = None
+) -> Float[Array, "*n"]:
+    """How much light is lost on the way to each sample of a ray, as an exponent in [0, OPAQUE].
+
+    In a fog light is lost along the way, d = density length. On a solid it is lost where the density rises,
+
+        d = SURFACE max(0, density - density of the sample in front),
+
+    so that exp(-SURFACE density) of the densest sample is left, however long the way was: a ray that touches a surface loses as
+    much as one that meets it head on. In a fog the former goes a long way through the thin outer parts; where silhouettes are
+    right, the surface then looks too deep. The weights of NeuS (Wang et al. 2021, equation 13) are these for a logistic function
+    of a distance.
+
+    Args:
+        density: at least 0 [1 / scene unit].
+        before: that of the sample in front; 0 in front of the first.
+        lengths: of the samples' intervals, at least 0 [scene unit]; nothing is lost at samples without length.
+        solid: 0 is a fog, 1 a solid; between them depths are mixed. None: a fog.
+    """
+    along = jnp.minimum(density * lengths, OPAQUE)
+    if solid is None:
+        return along
+    rise = jnp.where(lengths > 0, jnp.minimum(SURFACE * jnp.maximum(density - before, 0.0), OPAQUE), 0.0)
+    return along + solid * (rise - along)
+
+
+def volume_weights(depth: Float[Array, "rays samples"]) -> Float[Array, "rays samples"]:
     """Share of a ray's colour that each interval contributes.
 
-    Emission and absorption with density constant inside an interval (NeRF, Mildenhall et al. 2020, equation 3):
+    Emission and absorption (NeRF, Mildenhall et al. 2020, equation 3):
 
-        weights[i] = (1 - exp(-d[i])) exp(-sum(d[:i])),   d[i] = density[i] lengths[i].
+        weights[i] = (1 - exp(-d[i])) exp(-sum(d[:i])).
 
     The second factor is a sum in the exponent, not a product of (1 - alpha): equal in exact arithmetic, but it keeps the
     faint light that float32 loses once alpha rounds to 1.
 
     Args:
-        density: at least 0 [1 / scene unit].
-        lengths: at least 0 [scene unit]; zero length gives weight 0 whatever the density.
+        depth: optical depth d of each interval, at least 0: see `optical_depth`.
 
     Returns:
         Weights in [0, 1], summing to at most 1; one minus the sum is what the background receives.
     """
-    depth = jnp.minimum(density * lengths, OPAQUE)
+    depth = jnp.minimum(depth, OPAQUE)
     return -jnp.expm1(-depth) * jnp.exp(-sum_before(depth))
 
 

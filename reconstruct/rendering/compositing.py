@@ -9,35 +9,39 @@ from koala3d.reconstruct.field.lit import Lit
 from koala3d.reconstruct.field.parallax import places_on
 from koala3d.reconstruct.kernels import compositing
 from koala3d.reconstruct.numerics.compiling import barrier
-from koala3d.reconstruct.numerics.volume import volume_weights
+from koala3d.reconstruct.numerics.volume import optical_depth, volume_weights
 from koala3d.reconstruct.sampling.samples import RaySamples
 from koala3d.reconstruct.scene.rays import Rays
 
 
+def packed_depth(
+    field: Field, density: Float[Array, " n"], samples: RaySamples, speed: Float[Array, " rays"]
+) -> Float[Array, " n"]:
+    """`optical_depth` of packed samples.
+
+    Args:
+        speed: length of each ray's direction [scene unit per t].
+    """
+    before = jnp.where(samples.slot > 0, jnp.roll(density, 1), 0.0)
+    lengths = samples.length * speed.at[samples.ray].get(mode="promise_in_bounds")
+    return optical_depth(density, before, lengths, field.solid)
+
+
 def composited(
-    density: Float[Array, " n"],
-    values: tuple[Float[Array, "_ n"], ...],
-    samples: RaySamples,
-    speed: Float[Array, " rays"],
+    depth: Float[Array, " n"], values: tuple[Float[Array, "_ n"], ...], samples: RaySamples
 ) -> tuple[Float[Array, "rays slots"], Float[Array, "channels rays"]]:
     """Weights of samples, and sums over each ray of weights, of weighted t and of weighted values, one after the other.
 
     Args:
-        density: at least 0 [1 / scene unit].
-        speed: length of each ray's direction [scene unit per t].
+        depth: optical depth of each sample.
     """
     values = tuple(value for value in values if value.shape[0])
-    if compositing.takes(density, values):
-        interval = (samples.ray, samples.slot, samples.t, samples.length, samples.valid, speed)
-        return compositing.composited(density, values, interval, samples.max_per_ray)
-    weights = barrier(sample_weights(density, samples, speed))
+    if compositing.takes(depth, values):
+        places = (samples.ray, samples.slot, samples.t, samples.valid)
+        return compositing.composited(depth, values, places, (samples.num_rays, samples.max_per_ray))
+    weights = barrier(volume_weights(samples.padded(depth)))
     flat = barrier(samples.packed(weights))
     return weights, composite(jnp.concatenate([jnp.ones_like(flat)[None], samples.t[None], *values]), flat, samples).T
-
-
-def sample_weights(density: Float[Array, " n"], samples: RaySamples, speed: Float[Array, " rays"]) -> Float[Array, "rays slots"]:
-    """`volume_weights` of packed samples; `speed` is the length of each ray's direction [scene unit per t]."""
-    return volume_weights(samples.padded(density), samples.padded(samples.length) * speed[:, None])
 
 
 def composite(

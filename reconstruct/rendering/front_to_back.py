@@ -15,7 +15,7 @@ from koala3d.reconstruct.field.appearance import Material
 from koala3d.reconstruct.field.cloud import Cloud
 from koala3d.reconstruct.field.field import Field
 from koala3d.reconstruct.numerics.compiling import barrier
-from koala3d.reconstruct.numerics.volume import OPAQUE, volume_weights
+from koala3d.reconstruct.numerics.volume import optical_depth, volume_weights
 from koala3d.reconstruct.rendering.compositing import values_of
 from koala3d.reconstruct.sampling.sampler import Sampled
 from koala3d.reconstruct.sampling.samples import RaySamples, cloud_of
@@ -32,7 +32,7 @@ class _Round(eqx.Module):
     """State between two rounds."""
 
     sums: Float[Array, "rays channels"]
-    """Of each ray so far: its optical depth, then what is composited."""
+    """Of each ray so far: its optical depth, the density of its last sample, then what is composited."""
     place: Int[Array, " places"]
     """Position of each ray under way in the queue; past its end where none is."""
     slot: Int[Array, " places"]
@@ -59,8 +59,8 @@ def sums_front_to_back(
     length = jnp.pad(length, spare)
     filled = jnp.sum(samples.valid.reshape(shape), -1)
 
-    def contributions(ray: Int[Array, " places"], slot: Int[Array, " places"], active: Bool[Array, " places"], depth: Array):
-        """(places, 1 + channels): optical depth and sums of the next samples of rays behind the given depth."""
+    def contributions(ray: Int[Array, " places"], slot: Int[Array, " places"], active: Bool[Array, " places"], so_far: Array):
+        """(places, 2 + channels): what is added to the sums of rays, of which these were found so far."""
         own = jax.tree.map(lambda v: v[ray], rays)
         column = slot[:, None] + jnp.arange(TOGETHER)
         extent = length[ray[:, None], column]
@@ -69,28 +69,30 @@ def sums_front_to_back(
         density, material, normal = barrier(_evaluated(field, cloud, normals))
         channels = jnp.stack([jnp.ones_like(some.t), some.t])
         channels = jnp.concatenate([channels, *values_of(field, material, own, some), normal])
-        lengths, density = jnp.where(active[:, None], extent * own.speed[:, None], 0.0), density.reshape(places, TOGETHER)
-        weights = barrier(volume_weights(density, lengths) * jnp.exp(-depth)[:, None])
-        passed = jnp.sum(jnp.minimum(density * lengths, OPAQUE), -1)
+        density, gone = density.reshape(places, TOGETHER), so_far[:, :2].T
+        before = jnp.concatenate([gone[1][:, None], density[:, :-1]], -1)
+        lengths = jnp.where(active[:, None], extent * own.speed[:, None], 0.0)
+        depth = optical_depth(density, before, lengths, field.solid)
+        weights = barrier(volume_weights(depth) * jnp.exp(-gone[0])[:, None])
+        more = jnp.stack([jnp.sum(depth, -1), jnp.where(active, density[:, -1] - gone[1], 0.0)])
         weighted = channels * weights.reshape(-1)
         sums = sum(weighted[:, k::TOGETHER] for k in range(TOGETHER))  # a reduction over so short an axis is three times as slow
-        return jnp.concatenate([passed[None], sums]).T
+        return jnp.concatenate([more, sums]).T
 
     def advance(now: _Round) -> _Round:
         active = now.place < queue.count
         ray = queue.ray[jnp.minimum(now.place, shape[0] - 1)]
-        depth = now.sums[ray, 0]
-        more = contributions(ray, now.slot, active, depth)
+        more = contributions(ray, now.slot, active, now.sums[ray])
         slot = now.slot + TOGETHER
-        leaves = active & ((slot >= filled[ray]) | (depth + more[:, 0] > SPENT))
+        leaves = active & ((slot >= filled[ray]) | (now.sums[ray, 0] + more[:, 0] > SPENT))
         place = jnp.where(leaves, now.next + jnp.cumsum(leaves) - 1, now.place)
         return _Round(now.sums.at[ray].add(more), place, jnp.where(leaves, 0, slot), now.next + jnp.sum(leaves))
 
     first = jnp.arange(places)
     zero = jnp.zeros(places, first.dtype)
-    shapes = jax.eval_shape(contributions, zero, zero, zero > 0, jnp.zeros(places))
+    shapes = jax.eval_shape(contributions, zero, zero, zero > 0, jnp.zeros((places, 2)))
     start = _Round(jnp.zeros((shape[0], shapes.shape[1])), first, zero, jnp.asarray(places))
-    return jax.lax.while_loop(lambda now: jnp.any(now.place < queue.count), advance, start).sums[:, 1:]
+    return jax.lax.while_loop(lambda now: jnp.any(now.place < queue.count), advance, start).sums[:, 2:]
 
 
 class Queue(eqx.Module):

@@ -17,15 +17,15 @@ from koala3d.reconstruct.field.outline import Outline
 from koala3d.reconstruct.field.parallax import Parallax, places_on
 from koala3d.reconstruct.numerics.compiling import barrier
 from koala3d.reconstruct.numerics.safe import linear_from_srgb, srgb_from_linear
-from koala3d.reconstruct.rendering.compositing import composited, values_of
+from koala3d.reconstruct.rendering.compositing import composited, packed_depth, values_of
 from koala3d.reconstruct.sampling.create import create
 from koala3d.reconstruct.sampling.sampler import Sampler
 from koala3d.reconstruct.sampling.samples import RaySamples
 from koala3d.reconstruct.scene.facts import SceneFacts
 from koala3d.reconstruct.scene.rays import Rays
 
-HELD = ("blur", "grid", "outline")
-"""Names of the parts of a model that no gradient goes to: a blur follows a schedule, a grid what is met, an outline the masks."""
+HELD = ("blur", "grid", "outline", "solid")
+"""Names of the parts of a model that no gradient goes to: they follow a schedule, what a training meets, or masks."""
 
 
 class Model(eqx.Module):
@@ -50,7 +50,7 @@ class Model(eqx.Module):
         field_key = jax.random.split(key, 1 + len(config.sampler.proposal_finest))[0]
         start = Start(facts.towards, facts.light, Parallax.of(config.light))
         outline = Outline.of(possible) if config.field.begins == "hull" else None
-        field = Field.create(field_key, config.encoding, config.field, start=start, outline=outline)
+        field = Field.create(field_key, config.encoding, config.field, start=start, outline=outline, masked=possible is not None)
         sampler = create(key, config, facts, possible, config.field.density_bias)
         gains = first_gains(config, facts, views)
         poses = jnp.zeros((views, 6)) if config.poses.enabled is True else None
@@ -66,11 +66,14 @@ class Model(eqx.Module):
         """The same with every sample as wide as `blur` [scene unit]."""
         return eqx.tree_at(lambda m: m.field.encoding.blur, self, blur)
 
-    def freed(self, gain: Float[Array, ""]) -> "Model":
-        """The same whose network adds at least so much to the outline that the density began with."""
-        if self.field.outline is None:
-            return self
-        return eqx.tree_at(lambda m: m.field.outline.gain, self, jnp.maximum(self.field.outline.gain, gain))
+    def shaped(self, gain: Float[Array, ""], solid: Float[Array, ""]) -> "Model":
+        """The same, at least as solid, and whose network adds at least so much to the outline that the density began with."""
+        model, field = self, self.field
+        if field.outline is not None:
+            model = eqx.tree_at(lambda m: m.field.outline.gain, model, jnp.maximum(field.outline.gain, gain))
+        if field.solid is not None:
+            model = eqx.tree_at(lambda m: m.field.solid, model, jnp.maximum(field.solid, solid))
+        return model
 
     def split(self) -> tuple["Model", "Model"]:
         """What is learned, and the rest (see `HELD`); `eqx.combine` joins them."""
@@ -128,7 +131,8 @@ def render(field: Field, rays: Rays, samples: RaySamples, cloud: Cloud) -> tuple
         The rays, and the density of every sample [1 / scene unit].
     """
     density, material = barrier(field(cloud))
-    weights, sums = barrier(composited(density, values_of(field, material, rays, samples), samples, rays.speed))
+    depth = barrier(packed_depth(field, density, samples, rays.speed))
+    weights, sums = barrier(composited(depth, values_of(field, material, rays, samples), samples))
     return barrier((seen(field, rays, sums, weights), density))
 
 

@@ -102,6 +102,6 @@ def propose(
         if level < len(proposals):
             tdist = spacing.t(sdist)
             lengths = jnp.diff(tdist, axis=-1) * rays.speed[:, None]
-            weights = volume_weights(density_at(proposals[level], rays, tdist), lengths)
+            weights = volume_weights(density_at(proposals[level], rays, tdist) * lengths)
             levels.append((sdist, weights))
     return sdist, tuple(levels)

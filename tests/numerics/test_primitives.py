@@ -218,7 +218,7 @@ ROWS = [
     ),
     Row(
         "volume_weights",
-        volume_weights,
+        lambda d, s: volume_weights(d * s),
         (DENSITIES, LENGTHS),
         "densities 0 to 1e30, lengths 0 to 1e12",
         2e-6,

@@ -57,7 +57,7 @@ ELEMENTARY: dict[str, Callable[[], object]] = {
     "contract": lambda: (contract(some(5, 3)), contraction_scale(some(5, 3)), pull_back(some(5, 3), some(5, 3))),
     "ladder": lambda: inverse_power_ladder(power_ladder(some(5), -1.5, 2.0), -1.5, 2.0),
     "resample_blurred": lambda: resample_blurred(jnp.sort(some(2, 9)), jnp.sort(some(2, 5)), some(2, 4), 0.03),
-    "volume_weights": lambda: volume_weights(some(2, 4), some(2, 4)),
+    "volume_weights": lambda: volume_weights(some(2, 4)),
     "directional": lambda: integrated_directional_encoding(normalise(some(5, 3)).T, some(5), 5),
     "first_surface": lambda: first_surface.first_surface(some(4, 6), some(4, 6) > 0.3),
     "radius": lambda: first_surface.neighbourhood_radius(some(4), some(4), some(4)),

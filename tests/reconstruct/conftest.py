@@ -231,7 +231,8 @@ def ball(ball_scene: tuple[Scene, Path], make_run: Callable[..., Run], renderer:
     radius = RADIUS * run.normalisation.scale
     occupancy = Occupancy.create(0, grid=grid, outer_grid=8, space=BOX, steps=32, possible=np.abs(distance - radius) < 3 / grid)
     field = model.field
-    solid = Ball(field.encoding, field.spatial, field.appearance, field.density_bias, field.deferred, radius=radius)
+    parts = {name: getattr(field, name) for name in field.__dataclass_fields__}
+    solid = Ball(**parts, radius=radius)
     model = replace(model, field=solid, sampler=replace(model.sampler, grid=occupancy))
     assert run.normalisation.bounded and run.normalisation == renderer.normalisation
     return TrainedModel(run, ball_scene[0], model, 0, renderer)

@@ -1,8 +1,7 @@
 """Emission and absorption along rays as compiled loops; see `reconstruct.kernels.compositing`, `numerics.volume`.
 
-Arrays of a call: ray, slot, t, length, valid (n,) of packed samples, speed (rays,), density (n,), then values (channels, n) each;
-on the way back the cotangents of both results, weights (rays, slots) and sums (channels, rays): of weights, of weighted t and of
-the weighted values.
+Arrays of a call: ray, slot, t, valid and optical depth (n,) of packed samples, then values (channels, n) each; on the way back the
+cotangents of both results, weights (rays, slots) and sums (channels, rays): of weights, of weighted t and of the weighted values.
 """
 
 import numpy as np
@@ -22,7 +21,7 @@ from koala3d.reconstruct.kernels.loops.frame import (
 
 RAYS = 64
 """Of a chunk."""
-FIRST_VALUE = 7
+FIRST_VALUE = 5
 """Index of the first argument that is composited."""
 OPAQUE = np.float32(80.0)
 """As in `reconstruct.numerics.volume`."""
@@ -66,18 +65,17 @@ def _bounds(ray, start, stop):
 
 @compiled
 def _samples(frame):
-    """Ray, slot, t, length, valid, speed and density of a call."""
-    count, rays = argument_size(frame, 0, 0), argument_size(frame, 5, 0)
+    """Ray, slot, t, valid and optical depth of a call."""
+    count = argument_size(frame, 0, 0)
     ray, slot = argument(frame, 0, (count,), np.int32), argument(frame, 1, (count,), np.int32)
-    t, length = argument(frame, 2, (count,), np.float32), argument(frame, 3, (count,), np.float32)
-    valid, speed = argument(frame, 4, (count,), np.uint8), argument(frame, 5, (rays,), np.float32)
-    return ray, slot, t, length, valid, speed, argument(frame, 6, (count,), np.float32)
+    t, valid = argument(frame, 2, (count,), np.float32), argument(frame, 3, (count,), np.uint8)
+    return ray, slot, t, valid, argument(frame, 4, (count,), np.float32)
 
 
 @compiled
 def _find_weights(first, end, samples, weights, kept):
     """Weight of each sample from `first` to `end`, all of one chunk's rays, and what is left of the light behind it."""
-    ray, _, _, length, valid, speed, density = samples
+    ray, _, _, valid, depths = samples
     before, last = f4(0), -1
     for i in range(end - first):
         sample = first + i
@@ -85,7 +83,7 @@ def _find_weights(first, end, samples, weights, kept):
             before, last = f4(0), ray[sample]
         depth = f4(0)
         if valid[sample] != 0:
-            depth = min(density[sample] * (length[sample] * speed[last]), OPAQUE)
+            depth = min(depths[sample], OPAQUE)
         weights[i] = _less_than_one(depth) * exp_of_minus(before)
         before += depth
         kept[i] = exp_of_minus(before)
@@ -95,8 +93,8 @@ def _find_weights(first, end, samples, weights, kept):
 def _composite_chunk(frame, chunk):
     """Weights and sums of a chunk of rays."""
     samples = _samples(frame)
-    ray, slot, t, _, valid, speed, _ = samples
-    rays, slots, channels = speed.shape[0], result_size(frame, 0, 1), result_size(frame, 1, 0)
+    ray, slot, t, valid, _ = samples
+    rays, slots, channels = result_size(frame, 0, 0), result_size(frame, 0, 1), result_size(frame, 1, 0)
     start, stop = chunk * RAYS, min((chunk + 1) * RAYS, rays)
     bounds = _bounds(ray, start, stop)
     first, end = bounds[0], bounds[-1]
@@ -129,11 +127,12 @@ def _composite_chunk(frame, chunk):
 
 @compiled
 def _back_chunk(frame, chunk):
-    """Gradients of a chunk's densities and values."""
+    """Gradients of a chunk's optical depths and values."""
     samples = _samples(frame)
-    ray, slot, t, length, valid, speed, density = samples
-    count, rays, cotangents = ray.shape[0], speed.shape[0], argument_count(frame) - 2
-    slots, channels = argument_size(frame, cotangents, 1), argument_size(frame, cotangents + 1, 0)
+    ray, slot, t, valid, depths = samples
+    count, cotangents = ray.shape[0], argument_count(frame) - 2
+    rays, slots = argument_size(frame, cotangents, 0), argument_size(frame, cotangents, 1)
+    channels = argument_size(frame, cotangents + 1, 0)
     of_weights = argument(frame, cotangents, (rays, slots), np.float32)
     of_sums = argument(frame, cotangents + 1, (channels, rays), np.float32)
     start, stop = chunk * RAYS, min((chunk + 1) * RAYS, rays)
@@ -164,9 +163,8 @@ def _back_chunk(frame, chunk):
         sample = first + i
         if ray[sample] != last:
             behind, last = f4(0), ray[sample]
-        extent = length[sample] * speed[last]
-        seen = valid[sample] != 0 and density[sample] * extent < OPAQUE
-        gradient[sample] = (pull[i] * kept[i] - behind) * extent if seen else f4(0)
+        seen = valid[sample] != 0 and depths[sample] < OPAQUE
+        gradient[sample] = pull[i] * kept[i] - behind if seen else f4(0)
         if valid[sample] != 0:
             behind += pull[i] * weights[i]
 
@@ -178,13 +176,13 @@ _address_of_compositing, _address_of_back = address_of(_composite_chunk, 2), add
 def composite(frame):
     """Weights (rays, slots) and sums (channels, rays)."""
     if executes(frame):
-        in_chunks_of(frame, _address_of_compositing(), argument_size(frame, 5, 0), RAYS)
+        in_chunks_of(frame, _address_of_compositing(), result_size(frame, 0, 0), RAYS)
     return 0
 
 
 @handler
 def composite_back(frame):
-    """Gradients of the density (n,) and of the values (channels, n) each."""
+    """Gradients of the optical depth (n,) and of the values (channels, n) each."""
     if executes(frame):
-        in_chunks_of(frame, _address_of_back(), argument_size(frame, 5, 0), RAYS)
+        in_chunks_of(frame, _address_of_back(), argument_size(frame, argument_count(frame) - 2, 0), RAYS)
     return 0

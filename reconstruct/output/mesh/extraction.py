@@ -1,9 +1,9 @@
 """The surface of a trained model as a triangle mesh, in the scene's world coordinates.
 
 The density is sampled on a regular grid over the object's box, in and around occupied cells, and cut by marching cubes
-where a stretch as long as 1/128 of the box absorbs `level` of the light. That length belongs to the model and not to the
-mesh, so that a finer mesh shows the same surface in more detail. Where the model predicts normals, the mesh is refined to
-follow them.
+where a ray has lost `level` of its light (`volume.optical_depth`), or, in a fog, where a stretch as long as 1/128 of
+the box absorbs as much. That length belongs to the model and not to the mesh, so that a finer mesh shows the same surface in more
+detail. Where the model predicts normals, the mesh is refined to follow them.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from koala3d.datasets.scene import Scene
 from koala3d.reconstruct.errors import ReconstructError
+from koala3d.reconstruct.numerics.volume import SURFACE
 from koala3d.reconstruct.output.mesh.closing import mended
 from koala3d.reconstruct.output.mesh.field_samples import frontal_colours, grid_axes, predicted_normals, sample_density
 from koala3d.reconstruct.output.mesh.isolation import SIDES, fill_interior, isolate_object
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     import trimesh
 
 RESOLUTION = 256  # grid points along the longest side of the box
-LEVEL = 0.5  # share of light that a stretch of surface material as long as 1/128 of the box absorbs
+LEVEL = 0.5  # share of light that is lost at the surface
 FOLLOWED = 1 / 24  # share of the box's longest side over which predicted normals are believed more than the density
 SMALLEST_PART = 0.05  # pieces with less than this share of the largest piece's area are noise
 
@@ -58,7 +59,7 @@ def extract(
     axes = grid_axes(trained, resolution)
     density = sample_density(trained, axes)
     side = max(axis[-1] - axis[0] for axis in axes)
-    threshold = -np.log1p(-level) * 128 / side
+    threshold = -np.log1p(-level) / (side / 128 if trained.model.field.solid is None else SURFACE)
     if not density.min() < threshold < density.max():
         why = f"densities are {density.min():.3g} to {density.max():.3g}, the surface is at {threshold:.3g}"
         problem, advice = "there is no surface in the object's box", "train longer, or check the scene's box"
