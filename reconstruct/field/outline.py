@@ -8,26 +8,24 @@ begins as fog explains a mirror by what seems to be behind it, and keeps a hollo
 
 import itertools
 import math
-from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Float16
-from numpy.typing import NDArray
+from jaxtyping import Array, Float, Float16
+
+from koala3d.reconstruct.numerics.volume import SURFACE
 
 GRID = 64
 """Points of the distance per axis of the object's cube."""
 CELL = 2 / GRID
 WIDTH = 0.02
 """Distance over which the density changes by a factor of e [scene unit]."""
-BORDER, OUTSIDE, INSIDE = 3.0, -1.0, 5.0
-"""Logarithm of the density on the hull, far from it, and deep inside: opaque, but gaps can still be opened."""
+BORDER, OUTSIDE, INSIDE = math.log(math.log(2) / SURFACE), -1.0, 5.3
+"""Logarithm of the density on the hull, a surface there, far from it, and deep inside: opaque, but gaps can still be opened."""
 LEAK = 1e-3
 """Slope beyond these bounds, as a share of that between them, so that there is a normal everywhere."""
-SMOOTHED = 2.0
-"""Standard deviation by which the distance is smoothed [cells of the masks' grid]."""
 NOWHERE = 1.0
 """Distance if there are no masks: thin fog everywhere [scene unit]."""
 
@@ -40,10 +38,10 @@ class Outline(eqx.Module):
     """What the network's raw density is multiplied by; see `Schedule.gain`."""
 
     @classmethod
-    def of(cls, possible: Bool[NDArray[Any], " cells"] | None) -> "Outline":
-        """Of the cells of a cubic grid over the object's cube that masks leave; None: there are no masks."""
-        distance = np.full((GRID,) * 3, NOWHERE) if possible is None or not possible.any() else _distance(possible)
-        return cls(jnp.asarray(distance, jnp.float16), jnp.zeros(()))
+    def of(cls, distance: Float[np.ndarray, "x y z"] | None) -> "Outline":
+        """Of the `hull_distance` to masks; None: there are no masks."""
+        known = np.full((GRID,) * 3, NOWHERE) if distance is None else distance
+        return cls(jnp.asarray(known, jnp.float16), jnp.zeros(()))
 
     def log_density(self, raw: Float[Array, " n"], points: Float[Array, "3 n"]) -> Float[Array, " n"]:
         """Logarithm of the density [1 / scene unit] at points of the scene."""
@@ -69,16 +67,3 @@ class Outline(eqx.Module):
             weight = math.prod(share[i] if far else 1 - share[i] for i, far in enumerate((x, y, z)))
             total = total + weight * values[row].astype(jnp.float32)
         return total
-
-
-def _distance(possible: Bool[NDArray[Any], " cells"]) -> NDArray[np.float64]:
-    """(GRID, GRID, GRID) signed distance to the border of the cells [scene unit], smoothed."""
-    from scipy import ndimage
-
-    cells = round(len(possible) ** (1 / 3))
-    inside = np.pad(possible.reshape(cells, cells, cells), cells // 16)  # beyond the cube is outside
-    signed = ndimage.distance_transform_edt(~inside) - ndimage.distance_transform_edt(inside)
-    smooth = ndimage.gaussian_filter(signed, SMOOTHED) * 2 / cells
-    centres = (np.arange(GRID) + 0.5) * (cells / GRID) - 0.5 + cells // 16
-    axes = np.meshgrid(centres, centres, centres, indexing="ij")
-    return ndimage.map_coordinates(smooth, axes, order=1)

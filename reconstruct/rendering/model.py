@@ -40,17 +40,24 @@ class Model(eqx.Module):
 
     @classmethod
     def create(
-        cls, key: PRNGKeyArray, config: Config, facts: SceneFacts, views: int = 0, possible: NDArray[Any] | None = None
+        cls,
+        key: PRNGKeyArray,
+        config: Config,
+        facts: SceneFacts,
+        views: int = 0,
+        possible: NDArray[Any] | None = None,
+        hull: NDArray[Any] | None = None,
     ) -> "Model":
         """Fresh weights; gains and poses of `views` training views only where the configuration wants them.
 
         Args:
             possible: cells that can hold anything, see `Sampler.possible_cells`.
+            hull: see `hull_distance`.
         """
         field_key = jax.random.split(key, 1 + len(config.sampler.proposal_finest))[0]
         start = Start(facts.towards, facts.light, Parallax.of(config.light))
-        outline = Outline.of(possible) if config.field.begins == "hull" else None
-        field = Field.create(field_key, config.encoding, config.field, start=start, outline=outline, masked=possible is not None)
+        outline = Outline.of(hull) if config.field.begins == "hull" else None
+        field = Field.create(field_key, config.encoding, config.field, start=start, outline=outline, masked=hull is not None)
         sampler = create(key, config, facts, possible, config.field.density_bias)
         gains = first_gains(config, facts, views)
         poses = jnp.zeros((views, 6)) if config.poses.enabled is True else None

@@ -13,6 +13,7 @@ from koala3d.datasets.scene import Scene, View
 from koala3d.reconstruct.config import Config
 from koala3d.reconstruct.rendering.probe import Probe
 from koala3d.reconstruct.sampling.create import sampler_type
+from koala3d.reconstruct.sampling.hull_distance import hull_distance
 from koala3d.reconstruct.scene import poses
 from koala3d.reconstruct.scene.facts import SceneFacts
 from koala3d.reconstruct.scene.pool import Pool
@@ -75,7 +76,8 @@ def prepare(
         config = sized(config, facts, pixels)
     config = Config.model_validate_json(distributed.decided_text(config.model_dump_json()))
     step = Step.of(config, facts)
-    state = step.initial(jax.random.key(config.train.seed), possible, len(views))
+    hull = hull_distance(possible, pixels) if possible is not None and config.field.begins == "hull" else None
+    state = step.initial(jax.random.key(config.train.seed), possible, len(views), hull)
     step = replace(step, division=Division.among(jax.devices(), state.model.sampler.divided_sizes))
     distributed.require_same((state, pixels), "scene")
     if pool is not None:

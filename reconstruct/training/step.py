@@ -79,9 +79,11 @@ class Step:
             Schedule(config),
         )
 
-    def initial(self, key: PRNGKeyArray, possible: NDArray[Any] | None = None, views: int = 0) -> TrainState:
-        """Fresh weights, for a training on this many views. `possible`: see `Sampler.possible_cells`."""
-        model = Model.create(key, self.config, self.facts, views, possible)
+    def initial(
+        self, key: PRNGKeyArray, possible: NDArray[Any] | None = None, views: int = 0, hull: NDArray[Any] | None = None
+    ) -> TrainState:
+        """Fresh weights, for a training on this many views; `possible` and `hull` as of `Model.create`."""
+        model = Model.create(key, self.config, self.facts, views, possible, hull)
         moments = self.optimiser.begin(model.split()[0])
         return TrainState(model, moments, jnp.zeros((), jnp.int32), jnp.zeros((), jnp.int32))
 

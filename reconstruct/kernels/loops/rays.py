@@ -1,7 +1,8 @@
 """Emission and absorption along rays as compiled loops; see `reconstruct.kernels.compositing`, `numerics.volume`.
 
-Arrays of a call: ray, slot, t, valid and optical depth (n,) of packed samples, then values (channels, n) each; on the way back the
-cotangents of both results, weights (rays, slots) and sums (channels, rays): of weights, of weighted t and of the weighted values.
+Arrays of a call: ray, slot, t, valid and optical depth (n,) of packed samples, then values (channels, n) each; on the way back
+the cotangents of both results, weights (rays, slots) and sums (channels, rays): of weights, of weighted t and of the weighted
+values.
 """
 
 import numpy as np

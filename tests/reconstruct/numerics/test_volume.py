@@ -78,7 +78,7 @@ LEVEL = np.log(2) / SURFACE
 
 
 def test_a_solid_absorbs_where_the_density_rises() -> None:
-    """However many samples there are in front of it, what is left is that of the largest density; behind it a second wall counts."""
+    """What is left is that of the largest density, however many samples there are in front of it; a second wall counts."""
     for steps in (1, 2, 50):
         density = jnp.asarray(np.linspace(0, LEVEL, steps + 1)[None, 1:], jnp.float32)
         np.testing.assert_allclose(1 - volume_weights(rises(density)).sum(), 0.5, rtol=3e-5)  # 50 differences of float32

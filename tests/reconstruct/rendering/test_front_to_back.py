@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from koala3d.reconstruct.field.field import Field
-from koala3d.reconstruct.field.outline import Outline
+from koala3d.reconstruct.field.outline import GRID, Outline
 from koala3d.reconstruct.numerics.compiling import jit
 from koala3d.reconstruct.numerics.volume import volume_weights
 from koala3d.reconstruct.rendering.compositing import composite, packed_depth, values_of
@@ -28,7 +28,8 @@ FRUSTUM = Frustum(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), (0.0, 0.0
 COUNT, SLOTS = 90, 10
 
 
-BALL_OF_CELLS = np.linalg.norm(cell_centres(32, 1.0), axis=-1) < 0.5
+ROUND = np.linalg.norm(cell_centres(GRID, 1.0), axis=-1).reshape((GRID,) * 3) - 0.5
+"""Distance to a ball."""
 
 IN_ROWS = jax.jit(RaySamples.in_rows)
 
@@ -51,7 +52,7 @@ def some_field(space: Space, shading: str, density: float = 0.0, solid: bool = F
     """With such a logarithm of its density added everywhere; a solid one is a ball, of which a network has been freed."""
     opacity = "rise" if solid else "length"
     config = small(changes={"field": {"shading": shading, "density_bias": 1.0, "opacity": opacity}})
-    outline = Outline.of(BALL_OF_CELLS) if solid else None
+    outline = Outline.of(ROUND) if solid else None
     made = drawn.filled(lambda: Field.create(jax.random.key(0), config.encoding, config.field, outline=outline, masked=solid))
     if solid:
         made = eqx.tree_at(lambda field: field.outline.gain, made, drawn.array(np.array(2.0)))
