@@ -54,11 +54,9 @@ class FieldConfig(Schema):
     outward: float = setting(
         0.0, "Predicted normals start as those of a ball about the object: weight of the position in them.", ge=0
     )
-    begins: Literal["fog", "hull"] = setting(
-        "fog", "The density begins as fog, or as the visual hull of the masks, held until the reflection knows its light."
-    )
-    opacity: Literal["length", "rise"] = setting(
-        "length", "Light is lost along the way through a density, or where the density rises, as at a surface."
+    matter: Literal["fog", "solid"] = setting(
+        "fog",
+        "Light is lost along the way through it, or where its density rises; a solid begins as the masks' hull, if there are any.",
     )
     density_bias: float = setting(0.5, "Added to the raw density before the exponential, of a density that begins as fog.")
 

@@ -64,7 +64,7 @@ class Field(eqx.Module):
             outputs=1 + appearance.heads + field.bottleneck,
             skip=field.spatial_skip,
         )
-        solid = jnp.asarray(float(outline is not None and masked)) if field.opacity == "rise" else None
+        solid = jnp.asarray(float(outline is not None and masked)) if field.matter == "solid" else None
         return cls(encoded, spatial, appearance, outline, solid, field.density_bias, field.shading == "deferred")
 
     def density(self, cloud: Cloud) -> Float[Array, " n"]:

@@ -15,8 +15,8 @@ def drawn(config: Config) -> str:
     """The drawing as SVG; what a configuration has not is left out."""
     schedule, losses = Schedule(config), config.losses
     curves = {"learning rate": schedule.rate, "blur of samples": schedule.blur}
-    if config.field.begins == "hull":
-        curves["freedom of the shape"] = schedule.gain
+    if config.field.matter == "solid":
+        curves |= {"freedom of the shape": schedule.gain} if "blank" in config.kinds else {"solid": schedule.solid}
     if losses.hollowness:
         curves["hollowness"] = schedule.hollowness
     if losses.fog:

@@ -56,7 +56,7 @@ class Model(eqx.Module):
         """
         field_key = jax.random.split(key, 1 + len(config.sampler.proposal_finest))[0]
         start = Start(facts.towards, facts.light, Parallax.of(config.light))
-        outline = Outline.of(hull) if config.field.begins == "hull" else None
+        outline = Outline.of(hull) if config.field.matter == "solid" and facts.normalisation.bounded else None
         field = Field.create(field_key, config.encoding, config.field, start=start, outline=outline, masked=hull is not None)
         sampler = create(key, config, facts, possible, config.field.density_bias)
         gains = first_gains(config, facts, views)

@@ -50,8 +50,7 @@ def some_samples(footprint: Footprint) -> Sampled:
 
 def some_field(space: Space, shading: str, density: float = 0.0, solid: bool = False) -> Field:
     """With such a logarithm of its density added everywhere; a solid one is a ball, of which a network has been freed."""
-    opacity = "rise" if solid else "length"
-    config = small(changes={"field": {"shading": shading, "density_bias": 1.0, "opacity": opacity}})
+    config = small(changes={"field": {"shading": shading, "density_bias": 1.0, "matter": "solid" if solid else "fog"}})
     outline = Outline.of(ROUND) if solid else None
     made = drawn.filled(lambda: Field.create(jax.random.key(0), config.encoding, config.field, outline=outline, masked=solid))
     if solid:
