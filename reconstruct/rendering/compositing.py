@@ -27,6 +27,15 @@ def packed_depth(
     return optical_depth(density, before, lengths, field.solid)
 
 
+def lost_at(t: Float[Array, "*n"], before: Float[Array, "*n"], solid: Float[Array, ""] | None) -> Float[Array, "*n"]:
+    """t at which a sample's light is lost: in a fog around the sample, on a solid between it and the one in front.
+
+    Args:
+        before: t of the sample in front; that of the sample itself in front of which there is none.
+    """
+    return t if solid is None else t - solid * (t - before) / 2
+
+
 def composited(
     depth: Float[Array, " n"], values: tuple[Float[Array, "_ n"], ...], samples: RaySamples
 ) -> tuple[Float[Array, "rays slots"], Float[Array, "channels rays"]]:

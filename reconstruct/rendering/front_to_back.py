@@ -16,7 +16,7 @@ from koala3d.reconstruct.field.cloud import Cloud
 from koala3d.reconstruct.field.field import Field
 from koala3d.reconstruct.numerics.compiling import barrier
 from koala3d.reconstruct.numerics.volume import optical_depth, volume_weights
-from koala3d.reconstruct.rendering.compositing import values_of
+from koala3d.reconstruct.rendering.compositing import lost_at, values_of
 from koala3d.reconstruct.sampling.sampler import Sampled
 from koala3d.reconstruct.sampling.samples import RaySamples, cloud_of
 from koala3d.reconstruct.scene.rays import Rays
@@ -64,10 +64,11 @@ def sums_front_to_back(
         own = jax.tree.map(lambda v: v[ray], rays)
         column = slot[:, None] + jnp.arange(TOGETHER)
         extent = length[ray[:, None], column]
-        some = RaySamples.in_rows(t[ray[:, None], column], extent, jnp.full(places, TOGETHER))
+        own_t, t_before = t[ray[:, None], column], t[ray[:, None], jnp.maximum(column - 1, 0)]
+        some = RaySamples.in_rows(own_t, extent, jnp.full(places, TOGETHER))
         cloud = barrier(cloud_of(own, some, space=space, footprint=found.footprint.of(ray)))
         density, material, normal = barrier(_evaluated(field, cloud, normals))
-        channels = jnp.stack([jnp.ones_like(some.t), some.t])
+        channels = jnp.stack([jnp.ones_like(some.t), lost_at(own_t, t_before, field.solid).reshape(-1)])
         channels = jnp.concatenate([channels, *values_of(field, material, own, some), normal])
         density, gone = density.reshape(places, TOGETHER), so_far[:, :2].T
         before = jnp.concatenate([gone[1][:, None], density[:, :-1]], -1)

@@ -1,5 +1,6 @@
 """A model, and how rays are rendered with it."""
 
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -17,7 +18,7 @@ from koala3d.reconstruct.field.outline import Outline
 from koala3d.reconstruct.field.parallax import Parallax, places_on
 from koala3d.reconstruct.numerics.compiling import barrier
 from koala3d.reconstruct.numerics.safe import linear_from_srgb, srgb_from_linear
-from koala3d.reconstruct.rendering.compositing import composited, packed_depth, values_of
+from koala3d.reconstruct.rendering.compositing import composited, lost_at, packed_depth, values_of
 from koala3d.reconstruct.sampling.create import create
 from koala3d.reconstruct.sampling.sampler import Sampler
 from koala3d.reconstruct.sampling.samples import RaySamples
@@ -139,7 +140,9 @@ def render(field: Field, rays: Rays, samples: RaySamples, cloud: Cloud) -> tuple
     """
     density, material = barrier(field(cloud))
     depth = barrier(packed_depth(field, density, samples, rays.speed))
-    weights, sums = barrier(composited(depth, values_of(field, material, rays, samples), samples))
+    values = values_of(field, material, rays, samples)
+    before = jnp.where(samples.slot > 0, jnp.roll(samples.t, 1), samples.t)
+    weights, sums = barrier(composited(depth, values, replace(samples, t=lost_at(samples.t, before, field.solid))))
     return barrier((seen(field, rays, sums, weights), density))
 
 

@@ -13,7 +13,7 @@ from koala3d.reconstruct.field.field import Field
 from koala3d.reconstruct.field.outline import GRID, Outline
 from koala3d.reconstruct.numerics.compiling import jit
 from koala3d.reconstruct.numerics.volume import volume_weights
-from koala3d.reconstruct.rendering.compositing import composite, packed_depth, values_of
+from koala3d.reconstruct.rendering.compositing import composite, lost_at, packed_depth, values_of
 from koala3d.reconstruct.rendering.front_to_back import Queue, sums_front_to_back
 from koala3d.reconstruct.sampling.occupancy import cell_centres
 from koala3d.reconstruct.sampling.sampler import Sampled
@@ -73,6 +73,7 @@ def all_at_once(field: Field, rays: Rays, found: Sampled, space: Space) -> jax.A
     depth = found.samples.padded(packed_depth(field, density, found.samples, rays.speed))
     weights = found.samples.packed(volume_weights(depth))
     t = found.samples.t
+    t = lost_at(t, jnp.where(found.samples.slot > 0, jnp.roll(t, 1), t), field.solid)
     channels = jnp.concatenate([jnp.stack([jnp.ones_like(t), t]), *values_of(field, material, rays, found.samples), normals])
     return composite(channels, weights, found.samples)
 
