@@ -2,8 +2,8 @@
 
     python docs/show_splats.py RUN SPLATS NODE_MODULES OUT.png [VIEW...]
 
-Prints PSNR of the viewer's pictures and of the model's own against the photographs of all test views. Each row of the picture is a
-test view: photograph, model, viewer. NODE_MODULES is the folder that `npm install three @sparkjsdev/spark` makes.
+Prints PSNR of the viewer's pictures and of the model's own against the photographs of all test views. Each row of the picture is
+a test view: photograph, model, viewer. NODE_MODULES is the folder that `npm install three @sparkjsdev/spark` makes.
 """
 
 import sys

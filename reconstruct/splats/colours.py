@@ -12,8 +12,8 @@ from koala3d.reconstruct.splats.surfels import Surfels, sided
 PLACES, AROUND = 1024, 8
 """Places to look from, each between a training camera and two of so many that are next to it."""
 LOOKS = 64
-"""At each surfel, from places that it faces. 16 functions follow a mirror image only with several hundred directions: surfels share
-theirs with their neighbours."""
+"""At each surfel, from places that it faces. 16 functions follow a mirror image only with several hundred directions: surfels
+share theirs with their neighbours."""
 SHARED = 7
 """Surfels that share their looks: itself, and those next to it."""
 FACING = 0.1

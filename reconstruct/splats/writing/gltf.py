@@ -1,7 +1,7 @@
 """glTF 2.0 in one binary file, with the extension KHR_gaussian_splatting (Khronos, release candidate of 2026).
 
-The numbers are those of the scene's world, where z is up. A node turns them to glTF's y up. Programs that do not know the extension
-show coloured points.
+The numbers are those of the scene's world, where z is up. A node turns them to glTF's y up. Programs that do not know the
+extension show coloured points.
 """
 
 from pathlib import Path

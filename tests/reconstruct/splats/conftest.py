@@ -14,6 +14,6 @@ def splats() -> Splats:
     quaternions = pose.quaternion(pose.from_quaternion(random.normal(size=(40, 4))))
     coefficients = random.uniform(-0.4, 0.4, (40, 16, 3)).astype(np.float32)
     scales = np.exp(random.uniform(-8, -5, (40, 3)))
-    points = [0.4, -0.2, 0.1] + random.uniform(-0.1, 0.1, (40, 3))
+    points = np.array([0.4, -0.2, 0.1]) + random.uniform(-0.1, 0.1, (40, 3))
     about = {"run": "run", "scene": "ball", "steps": 3, "seen": 1.0, "surroundings": "none"}
     return Splats("ball", points, quaternions, scales, random.uniform(0.9, 0.99, 40), coefficients, True, about)

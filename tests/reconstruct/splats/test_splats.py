@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from koala3d.datasets import pose
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.imaging import images
 from koala3d.reconstruct.cli import main

@@ -44,7 +44,7 @@ def test_a_splat_is_where_and_what_it_was_meant_to_be(
     one, wide = splat(splats, [0.04, 0.012, 0.004]), splat(splats, [0.1, 0.1, 0.1])
     centre, turn = one.points[0], pose.from_quaternion(one.quaternions)[0, :3, :3]
     covariance = turn @ np.diag(one.scales[0] ** 2) @ turn.T
-    cameras = [pose.look_at(centre - FAR * towards, centre + [0.02, 0.01, 0.0]) for towards in directions(6)]
+    cameras = [pose.look_at(centre - FAR * towards, centre + np.array([0.02, 0.01, 0.0])) for towards in directions(6)]
 
     def pictures(shown: Splats) -> list[np.ndarray]:
         path = tmp_path / f"{shown.scales[0, 2]}{suffix}"

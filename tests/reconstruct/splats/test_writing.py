@@ -145,5 +145,5 @@ def test_an_old_usd_is_named(splats: Splats, tmp_path: Path, monkeypatch: pytest
 
 
 def test_an_unknown_suffix_is_refused() -> None:
-    with pytest.raises(UsageError, match="not written as '.splat'"):
+    with pytest.raises(UsageError, match=r"not written as '\.splat'"):
         saving.writer(Path("ball.splat"))
