@@ -9,8 +9,8 @@ from koala3d.reconstruct.output.trained_model import TrainedModel
 from koala3d.reconstruct.splats import harmonics
 from koala3d.reconstruct.splats.surfels import Surfels, sided
 
-PLACES, AROUND = 1024, 8
-"""Places to look from, each between a training camera and two of so many that are next to it."""
+PLACES, AROUND = 1024, 16
+"""Places to look from: training cameras, and places between one and two of so many that are next to it."""
 LOOKS = 64
 """At each surfel, from places that it faces. 16 functions follow a mirror image only with several hundred directions: surfels
 share theirs with their neighbours."""
@@ -20,7 +20,7 @@ FACING = 0.1
 """Cosine of normal and direction to the camera below which a surfel is not looked at."""
 NEAR = 1 / 64
 """How far from a surfel the model may see its surface along a ray, as a share of the longest side of the object's box."""
-STIFFNESS = 1e-5
+STIFFNESS = 3e-4
 """See `harmonics.solved`. With less, directions that few places cover get wrong colours."""
 BLOCK = 1 << 12
 """Surfels that are looked at together."""
@@ -57,7 +57,10 @@ def coefficients(trained: TrainedModel, surfels: Surfels) -> tuple[Float[np.ndar
 
 
 def vantage_points(scene: Scene) -> Float[np.ndarray, "places 3"]:
-    """Places between training cameras, as seen from the object (world frame)."""
+    """Training cameras and places between them, as seen from the object (world frame).
+
+    Most are near the lines between cameras: without the rim of what cameras cover, colours there are continued, and wrong.
+    """
     from scipy.spatial import KDTree
 
     centre, random = np.asarray(scene.box, np.float64).mean(0), np.random.default_rng(0)
@@ -67,10 +70,10 @@ def vantage_points(scene: Scene) -> Float[np.ndarray, "places 3"]:
     nearest = KDTree(towards).query(towards, k=around)[1].reshape(len(cameras), around)
     first = random.integers(len(cameras), size=PLACES)
     corners = np.stack([first, *nearest[first, random.integers(around, size=(2, PLACES))]], -1)
-    shares = random.dirichlet(np.ones(3), PLACES)[..., None]
+    shares = random.dirichlet(np.full(3, 0.5), PLACES)[..., None]
     mixed = np.sum(towards[corners] * shares, 1)
     mixed /= np.maximum(np.linalg.norm(mixed, axis=-1, keepdims=True), 1e-12)
-    return centre + mixed * np.sum(distances[corners] * shares, 1)
+    return centre + np.concatenate([cameras, mixed * np.sum(distances[corners] * shares, 1)])[:PLACES]
 
 
 def _looks(
