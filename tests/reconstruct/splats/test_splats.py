@@ -64,7 +64,7 @@ def test_splats_have_the_models_colour_in_each_direction(turned: TrainedModel) -
     front = seen & (np.sum(towards * surfels.normals, -1) < -0.3)
     assert front.sum() > 50
     expected = 0.5 + 0.25 * towards * [1.0, 0.6, -0.8]
-    assert np.abs(harmonics.colour(found, towards) - expected)[front].max() < 0.05  # stiffness, and four cameras; a wrong sign is off by 0.2
+    assert np.abs(harmonics.colour(found, towards) - expected)[front].max() < 0.05  # a wrong sign is off by 0.2
 
 
 def test_what_no_camera_sees_has_the_colour_of_its_neighbour(ball: TrainedModel) -> None:
