@@ -47,6 +47,7 @@ def test_the_list_of_libraries_is_not_empty() -> None:
                 "eval",
                 "mesh",
                 "asset",
+                "splats",
                 "view",
                 "report",
                 "render",

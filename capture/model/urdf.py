@@ -7,7 +7,6 @@ Shapes in the file are not read: `ArmModel.capsules` has the arm's.
 
 from dataclasses import dataclass
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +15,7 @@ from koala3d.datasets import pose
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.kinematics import Links, link_frames
+from koala3d.datasets.urdf import TURNING, Joint, joints_by_child
 
 Array = NDArray[np.float64]
 PARALLEL = 1e-9  # sine of the angle between two axes that count as parallel
@@ -37,34 +37,34 @@ class Chain:
 def read_chain(path: Path, base: str, flange: str) -> Chain:
     """The chain between two links of a URDF file, by their names.
 
-    Raises UsageError: the file cannot be read, a link is missing, the two are not connected, or a joint neither rotates nor is
-    fixed.
+    Raises:
+        UsageError: the file is missing, a link is, the two are not connected, or a joint neither rotates nor is fixed.
+        DatasetError: it is no URDF, or a joint on the way cannot be read.
     """
-    joints = _joints_by_child(path)
-    steps: list[ElementTree.Element] = []
+    joints = joints_by_child(files.read_text(path, MAX_BYTES), where=path)
+    steps: list[Joint] = []
     link = flange
     while link != base:
         if link not in joints or len(steps) > len(joints):
             why = f"no joint leads from '{base}' to '{link}'"
             raise UsageError("the two links are not connected", where=path, why=why, remedy="check urdf.base and urdf.flange")
         steps.insert(0, joints[link])
-        link = _attribute(joints[link], "parent", "link", path)
+        link = joints[link].parent
     place, frames, axes, moving = np.eye(4), [np.eye(4)], [], []
     for joint in steps:
-        place = place @ _origin(joint, path)
-        kind = joint.get("type")
-        if kind in ("revolute", "continuous"):
+        place = place @ joint.origin
+        if joint.kind in TURNING:
             frames.append(place)
-            axes.append(place[:3, :3] @ _axis(joint, path))
+            axes.append(place[:3, :3] @ joint.axis)
             moving.append(joint)
-        elif kind != "fixed":
-            why = f"joint '{joint.get('name')}' is {kind}"
+        elif joint.kind != "fixed":
+            why = f"joint '{joint.name}' is {joint.kind}"
             raise UsageError("only arms whose joints rotate are supported", where=path, why=why)
     if not moving:
         raise UsageError("no joint moves between the two links", where=path, remedy="check urdf.base and urdf.flange")
     links = from_axes(np.array([frame[:3, 3] for frame in frames[1:]]), np.array(axes), place)
     own = pose.inverse(link_frames(np.zeros(len(moving)), links)) @ np.stack([np.eye(4), *frames[1:]])
-    limits = np.array([_limits(joint, path) for joint in moving])
+    limits = np.array([joint.limits for joint in moving])
     return Chain(links, limits[:, 0], limits[:, 1], limits[:, 2], own)
 
 
@@ -125,58 +125,3 @@ def _across(axis: Array) -> Array:
         if np.linalg.norm(across) > 0.5:
             return np.asarray(across / np.linalg.norm(across))
     raise AssertionError("one of three axes is across")  # two of them at least
-
-
-def _joints_by_child(path: Path) -> dict[str, ElementTree.Element]:
-    try:
-        root = ElementTree.fromstring(files.read_regular(path, MAX_BYTES))
-    except ElementTree.ParseError as error:
-        raise UsageError("is not a URDF file", where=path, why=str(error)) from None
-    if root.tag != "robot":
-        raise UsageError("is not a URDF file", where=path, why=f"its root is <{root.tag}>, not <robot>")
-    return {_attribute(joint, "child", "link", path): joint for joint in root.iter("joint") if joint.find("child") is not None}
-
-
-def _attribute(joint: ElementTree.Element, tag: str, name: str, path: Path) -> str:
-    element = joint.find(tag)
-    found = None if element is None else element.get(name)
-    if not found:
-        raise UsageError(f"joint '{joint.get('name')}' has no {tag}", where=path)
-    return found
-
-
-def _numbers(text: str, count: int, joint: ElementTree.Element, path: Path) -> Array:
-    try:
-        numbers = np.array([float(word) for word in text.split()])
-    except ValueError:
-        numbers = np.zeros(0)
-    if numbers.shape != (count,) or not np.isfinite(numbers).all():
-        raise UsageError(f"joint '{joint.get('name')}' needs {count} finite numbers", where=path, why=f"got '{text[:60]}'")
-    return numbers
-
-
-def _origin(joint: ElementTree.Element, path: Path) -> Array:
-    """(4, 4) parent_from_joint; `rpy` turns about the fixed x, then y, then z."""
-    element = joint.find("origin")
-    place, angles = ("0 0 0", "0 0 0") if element is None else (element.get("xyz", "0 0 0"), element.get("rpy", "0 0 0"))
-    roll, pitch, yaw = _numbers(angles, 3, joint, path)
-    turns = [pose.from_rotation_vector(vector)[:3, :3] for vector in ([0, 0, yaw], [0, pitch, 0], [roll, 0, 0])]
-    return pose.rigid(turns[0] @ turns[1] @ turns[2], _numbers(place, 3, joint, path))
-
-
-def _axis(joint: ElementTree.Element, path: Path) -> Array:
-    element = joint.find("axis")
-    axis = _numbers("1 0 0" if element is None else element.get("xyz", "1 0 0"), 3, joint, path)
-    if np.linalg.norm(axis) < 1e-6:
-        raise UsageError(f"joint '{joint.get('name')}' has no axis", where=path)
-    return np.asarray(axis / np.linalg.norm(axis))
-
-
-def _limits(joint: ElementTree.Element, path: Path) -> tuple[float, float, float]:
-    element = joint.find("limit")
-    limit = {} if element is None else dict(element.items())
-    speed = float(_numbers(limit["velocity"], 1, joint, path)[0]) if "velocity" in limit else np.inf
-    if joint.get("type") == "continuous":
-        return -np.inf, np.inf, speed
-    low, high = (float(_numbers(limit.get(name, "0"), 1, joint, path)[0]) for name in ("lower", "upper"))
-    return low, high, speed

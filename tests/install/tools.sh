@@ -29,5 +29,6 @@ if [ ${#missing[@]} -gt 0 ]; then
   fi
 fi
 
-validator=build/tools/node_modules/gltf-validator
-test -d "$validator" || npm install --silent --no-audit --no-fund --prefix build/tools gltf-validator
+for module in gltf-validator three @sparkjsdev/spark; do
+  test -d "build/tools/node_modules/$module" || npm install --silent --no-audit --no-fund --prefix build/tools "$module"
+done

@@ -1,12 +1,13 @@
-"""Captures of phones with ARKit: raw exports of Polycam, and of Record3D (EXR_RGBD). Read only, in metres.
+"""Captures of phones with ARKit: raw exports of Polycam, of Record3D (EXR_RGBD) and of 3D Scanner App. Read only, in metres.
 
-Both state camera-to-world with ARKit's camera axes, which are OpenGL's (x right, y up, z back), for pictures as the sensor holds
+All state camera-to-world with ARKit's camera axes, which are OpenGL's (x right, y up, z back), for pictures as the sensor holds
 them, wider than high; the world's y axis points up. Principal points count from the picture's corner.
 
     Polycam   keyframes/images/TIME.jpg, keyframes/cameras/TIME.json with fx, fy, cx, cy, width, height and t_00 to t_23; if the
               program improved them, corrected_images and corrected_cameras
     Record3D  EXR_RGBD/rgb/NUMBER.jpg (or rgb/ itself), metadata.json with w, h, K column by column, and poses: a quaternion
               x y z w and a position for each picture
+    Scanner   frame_NUMBER.json with cameraPoseARFrame and intrinsics, row by row; frame_NUMBER.jpg beside some of them
 """
 
 from collections.abc import Iterator
@@ -24,6 +25,7 @@ from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import DatasetError, KoalaError
 from koala3d.datasets.formats import assemble
 from koala3d.datasets.formats.finding.pictures import Listing
+from koala3d.datasets.imaging import images
 from koala3d.datasets.scene import Scene, View, with_test_views
 
 POLYCAM = (("corrected_cameras", "corrected_images"), ("cameras", "images"))
@@ -47,9 +49,15 @@ def record3d(folder: Path) -> Path | None:
     return next((at for name in RECORD3D if ((at := folder / name) / METADATA).is_file() and (at / "rgb").is_dir()), None)
 
 
+def scanner(folder: Path) -> list[Path]:
+    """The frames of an export of 3D Scanner App, most of them without a picture; none where it is none."""
+    frames = [path for path in sorted(folder.glob("frame_*.json")) if path.stem.removeprefix("frame_").isdigit()]
+    return frames if any(path.with_suffix(".jpg").is_file() for path in frames) else []
+
+
 def detect(folder: Path) -> bool:
-    """True for a raw export of Polycam or an EXR_RGBD export of Record3D."""
-    return polycam(folder) is not None or record3d(folder) is not None
+    """True for a raw export of Polycam, an EXR_RGBD export of Record3D, or one of 3D Scanner App with all data."""
+    return polycam(folder) is not None or record3d(folder) is not None or bool(scanner(folder))
 
 
 def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, problems: list[KoalaError] | None = None) -> Scene:
@@ -60,7 +68,12 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, p
     """
     gathering = assemble.Gathering(folder, problems)
     pair = polycam(folder)
-    said = _of_polycam(gathering, *pair, images_folder) if pair is not None else _of_record3d(gathering, folder, images_folder)
+    if pair is not None:
+        listed, said = "cameras", _of_polycam(gathering, *pair, images_folder)
+    elif record3d(folder) is not None:
+        listed, said = METADATA, _of_record3d(gathering, folder, images_folder)
+    else:
+        listed, said = "frame_*.json", _of_scanner(gathering, folder, images_folder)
     for name, image, numbers, matrix in said:
         with gathering.collecting():
             if image is None:
@@ -71,7 +84,7 @@ def load(folder: Path, *, hold_out: int = 8, images_folder: str | None = None, p
             world_from_camera = pose.checked(matrix, where=where) @ OPENCV_FROM_OPENGL
             gathering.views.append(View(name, camera, world_from_camera, "train", image))
     gathering.notes.append("poses are a phone's own: training may have to refine them (--set poses.enabled=true)")
-    views = gathering.finished(listed_in="cameras" if pair is not None else METADATA)
+    views = gathering.finished(listed_in=listed)
     return replace(assemble.scene(gathering, with_test_views(views, hold_out), "phone"), metric=True)
 
 
@@ -113,6 +126,24 @@ def _of_record3d(gathering: assemble.Gathering, folder: Path, wanted: str | None
     for number, one in enumerate(poses):
         found = pose.from_quaternion(np.roll(one[:4], 1), one[4:])
         yield f"{number:0{digits}d}", listing.like(among, str(number)), _whole(numbers), found
+
+
+def _of_scanner(gathering: assemble.Gathering, folder: Path, wanted: str | None) -> Iterator[Posed]:
+    """The frames of 3D Scanner App that have a picture: depth is recorded more often than colour."""
+    among, listing = folder if wanted is None else files.inside(folder, wanted), Listing()
+    for path in scanner(folder):
+        image = listing.like(among, path.stem)
+        if image is None:
+            continue
+        with gathering.collecting():
+            content = files.read_json(files.within(folder, path))
+            try:
+                (fx, _, cx), (_, fy, cy), _ = np.asarray(content["intrinsics"], np.float64).reshape(3, 3).tolist()
+                matrix = np.asarray(content["cameraPoseARFrame"], np.float64).reshape(4, 4)
+            except (KeyError, TypeError, ValueError) as error:
+                raise DatasetError("frame is not complete", where=path, why=str(error)) from None
+            width, height = images.size(image)
+            yield path.stem, image, {"fx": fx, "fy": fy, "cx": cx, "cy": cy, "width": width, "height": height}, matrix
 
 
 def _whole(numbers: dict[str, Any]) -> dict[str, Any]:

@@ -55,7 +55,7 @@ def save(asset: Asset, path: Path) -> None:
         "materials": [material],
         **parts.content(),
     }
-    files.write_bytes(path, _binary(content, bytes(parts.data)))
+    files.write_bytes(path, binary(content, bytes(parts.data)))
 
 
 class _Parts:
@@ -106,8 +106,8 @@ class _Parts:
         return len(self._views) - 1
 
 
-def _binary(content: dict[str, Any], data: bytes) -> bytes:
-    """Header and the two chunks, each of a multiple of four bytes."""
+def binary(content: dict[str, Any], data: bytes) -> bytes:
+    """A GLB file: header and two chunks, JSON and data, each of a multiple of four bytes."""
     text = json.dumps(content, allow_nan=False, separators=(",", ":")).encode()
     text, data = text + b" " * (-len(text) % 4), data + b"\0" * (-len(data) % 4)
     chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(data), b"BIN\0") + data

@@ -13,7 +13,7 @@ from koala3d import configs
 from koala3d.capture.model.arm import load_arm
 from koala3d.capture.model.urdf import from_axes, read_chain
 from koala3d.datasets import pose
-from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.core.errors import DatasetError, UsageError
 from koala3d.datasets.kinematics import forward, link_frames
 
 PANDA = configs.find("arms", "panda").with_suffix(".urdf")
@@ -93,7 +93,8 @@ def changed(tmp_path: Path, old: str, new: str) -> Path:
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("<robot", "<robot <", "is not a URDF file"),
+        ("<robot", "<robot <", "is not valid XML"),
+        ("<robot", "<!DOCTYPE robot><robot", "it declares entities"),
         ('type="revolute"', 'type="prismatic"', "'panda_joint1' is prismatic"),
         ('<parent link="panda_link3"/>', '<parent link="elsewhere"/>', "no joint leads from 'panda_link0' to 'elsewhere'"),
         ('xyz="0 0 0.333"', 'xyz="0 0 nan"', "'panda_joint1' needs 3 finite numbers"),
@@ -102,7 +103,7 @@ def changed(tmp_path: Path, old: str, new: str) -> Path:
     ],
 )
 def test_a_wrong_file_is_one_clear_line(tmp_path: Path, old: str, new: str, words: str) -> None:
-    with pytest.raises(UsageError, match=words):
+    with pytest.raises((DatasetError, UsageError), match=words):
         read_chain(changed(tmp_path, old, new), "panda_link0", "panda_link8")
 
 

@@ -26,6 +26,7 @@ def of_realityscan(folder: Path) -> None:
         ("bop", test_bop.written, "scene_gt.json"),
         ("phone", test_phones.of_polycam, "keyframes/corrected_cameras/1002.json"),
         ("phone", test_phones.of_record3d, "EXR_RGBD/metadata.json"),
+        ("phone", test_phones.of_scanner, "frame_00002.json"),
     ],
 )
 def test_damage_is_survived(tmp_path: Path, format: str, write: Callable[[Path], object], name: str) -> None:

@@ -1,4 +1,4 @@
-"""Captures of Polycam and Record3D: ARKit's axes, improved poses, and what is refused."""
+"""Captures of Polycam, Record3D and 3D Scanner App: ARKit's axes, improved poses, and what is refused."""
 
 import json
 from pathlib import Path
@@ -52,7 +52,27 @@ def of_record3d(folder: Path, count: int = 11) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("write", [of_polycam, of_record3d])
+def of_scanner(folder: Path, count: int = 11) -> Path:
+    """Every frame has its pose, every second its picture; depth and what else the program writes lie beside them."""
+    folder.mkdir(parents=True)
+    (folder / "info.json").write_text('{"title": "scan"}')
+    for k in range(2 * count):
+        matrix = arkit(k // 2) if k % 2 == 0 else np.eye(4)
+        content = {
+            "cameraPoseARFrame": matrix.reshape(-1).tolist(),
+            "intrinsics": [FX, 0, CX, 0, FY, CY, 0, 0, 1],
+            "projectionMatrix": np.eye(4).reshape(-1).tolist(),
+            "frame_index": k,
+            "time": 0.1 * k,
+        }
+        (folder / f"frame_{k:05d}.json").write_text(json.dumps(content))
+        images.write(folder / f"depth_{k:05d}.png", np.zeros((8, 8, 1), np.uint16))
+        if k % 2 == 0:
+            picture(folder / f"frame_{k:05d}.jpg", k // 2 % 7)
+    return folder
+
+
+@pytest.mark.parametrize("write", [of_polycam, of_record3d, of_scanner])
 def test_cameras_see_what_is_in_front_of_them(tmp_path, write) -> None:
     folder = write(tmp_path / "capture")
     scene = load_scene(folder)
@@ -86,6 +106,10 @@ def test_damaged_files_are_named(tmp_path) -> None:
     (folder / "keyframes" / "corrected_cameras" / "1001.json").write_text('{"fx": 1}')
     with pytest.raises(DatasetError, match=r"1001.json: camera is not complete"):
         load_scene(folder)
+    frames = of_scanner(tmp_path / "c")
+    (frames / "frame_00004.json").write_text('{"intrinsics": [1, 2], "cameraPoseARFrame": []}')
+    with pytest.raises(DatasetError, match=r"frame_00004.json: frame is not complete"):
+        load_scene(frames)
     other = of_record3d(tmp_path / "b")
     content = json.loads((other / "EXR_RGBD" / "metadata.json").read_text())
     content["poses"][2][3] = 5.0

@@ -1,0 +1,1 @@
+"""Splats of a trained run: flat Gaussians on its surface, with a colour for each direction."""

@@ -1,0 +1,1 @@
+"""Files of splats: PLY, SPZ, glTF, USD."""
