@@ -27,6 +27,9 @@ LIGHT = ("diffuse", "specular")
 """Those of them that are linear light."""
 LONGEST_NAME = 200
 """Longest name of a view [bytes]; as a file it gets a prefix and a suffix."""
+TURNED = "turned"
+"""Part of the provenance of a scene of two sessions of an object that was turned over: the motion, its deviation, and the names
+of the `views` of the second session."""
 STATED = "stated"
 """`Scene.bounds_from` where the source says where the object is."""
 SAME_SHAPE = 0.02

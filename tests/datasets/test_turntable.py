@@ -15,6 +15,7 @@ from koala3d.datasets.edit.edit import merge
 from koala3d.datasets.formats import load_scene, save_scene
 from koala3d.datasets.imaging import images
 from koala3d.datasets.imaging.region import Region
+from koala3d.datasets.process.world.similarity import Similarity
 from koala3d.datasets.recording import Frame, Recording
 from koala3d.datasets.turntable import Axis
 
@@ -95,6 +96,14 @@ def test_poses_are_in_the_objects_frame(tmp_path: Path, calibration: Path) -> No
     assert again.lamps == "room" and merge([scene, scene], "both").lamps == "room"
     for view, known in zip(again.views, scene.views, strict=True):
         np.testing.assert_allclose(view.base_from_world, known.base_from_world, atol=1e-12)
+
+
+def test_in_another_world_the_object_is_where_it_was(tmp_path: Path, calibration: Path) -> None:
+    view = build(recorded(tmp_path / "rec", ROOM, ("key",)).path, calibration, tmp_path / "scene").views[1]
+    moved = Similarity(2.0, pose.from_rotation_vector((0.3, -0.2, 1.0))[:3, :3], np.array([0.1, 0.2, 0.3]))
+    after, spot = moved.view(view), np.array([0.45, 0.02, 0.15])
+    new = after.base_from_world @ [*moved.points(spot), 1]
+    np.testing.assert_allclose(new[:3], 2 * (view.base_from_world @ [*spot, 1])[:3], atol=1e-12)  # of the new unit
 
 
 def test_a_calibration_without_axis_is_refused(tmp_path: Path) -> None:
