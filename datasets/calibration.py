@@ -191,13 +191,18 @@ class Calibration:
             DatasetError: there is no hand-eye pose, or the object turned and the axis is not known.
         """
         flanges, joints = np.stack([one.base_from_flange for one in frames]), np.stack([one.joints for one in frames])
-        found, angles = self.camera_pose(flanges, joints), [one.turntable_angle or 0.0 for one in frames]
+        found, turns = self.camera_pose(flanges, joints), any(one.turntable_angle for one in frames)
+        return pose.inverse(self.object_poses(frames)) @ found if turns else found
+
+    def object_poses(self, frames: Sequence[Frame]) -> NDArray[np.float64]:
+        """(n, 4, 4) base_from_world [m] of frames, of the world of `camera_poses`. Raises DatasetError as it does."""
+        angles = [one.turntable_angle or 0.0 for one in frames]
         if not np.any(angles):
-            return found
+            return np.broadcast_to(np.eye(4), (len(frames), 4, 4))
         if self.turntable is None:
             remedy = "find it in a recording of the board on the table: 'calib turntable'"
             raise DatasetError("calibration holds no axis of the turntable", why="the object turned", remedy=remedy)
-        return pose.inverse(self.turntable.base_from_object(angles)) @ found
+        return self.turntable.base_from_object(angles)
 
     def save(self, path: Path) -> None:
         """Write atomically as JSON."""

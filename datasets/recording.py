@@ -44,6 +44,8 @@ LEAST_TURN = float(np.radians(0.1))
 """Angles of a turntable that differ by less are one [rad]."""
 MANIFEST, FRAMES, IMAGES, TRUTH = "manifest.json", "frames.jsonl", "images", "truth"
 RADIOMETRY = "radiometry.npz"
+POSE, UPRIGHT = "pose", "upright"
+"""Part of the manifest with the name of the way in which the object lay, and that of the first session of an object."""
 CHOSEN = "chosen"
 """Part of the manifest of a session that chose its own views; see `chosen_views`."""
 BAG, MOVING = "bag", "moving"
@@ -249,6 +251,11 @@ class Recording:
         """What the manifest says of the robot, the camera or another part; empty where it says nothing."""
         content = self.manifest.get(name)
         return content if isinstance(content, dict) else {}
+
+    @property
+    def pose(self) -> str:
+        """Name of the way in which the object lay: a person may turn it over between two sessions."""
+        return str(self.manifest.get(POSE) or UPRIGHT)
 
     @property
     def planned_views(self) -> int | None:

@@ -18,15 +18,18 @@ from koala3d.datasets.core.errors import DatasetError, UsageError
 from koala3d.datasets.imaging import images, marks, reduced
 
 SPLITS = ("train", "val", "test")
-LightFrameName = Literal["world", "camera", "turntable"]
-LIGHT_FRAMES: tuple[LightFrameName, ...] = get_args(LightFrameName)
-"""Where lamps stand still: with the object, on the camera, or in a room in which the object turns."""
+LampsName = Literal["room", "camera", "object"]
+LAMPS: tuple[LampsName, ...] = get_args(LampsName)
+"""What lamps stand on: the room, as the robot's base does; the camera; or the object and what moves it."""
 CHANNELS = ("normals", "depth", "alpha", "diffuse", "specular")
 """What there can be ground truth of."""
 LIGHT = ("diffuse", "specular")
 """Those of them that are linear light."""
 LONGEST_NAME = 200
 """Longest name of a view [bytes]; as a file it gets a prefix and a suffix."""
+TURNED = "turned"
+"""Part of the provenance of a scene of two sessions of an object that was turned over: the motion, its deviation, and the names
+of the `views` of the second session."""
 STATED = "stated"
 """`Scene.bounds_from` where the source says where the object is."""
 SAME_SHAPE = 0.02
@@ -76,6 +79,9 @@ class View:
     white: float | None = None
     """Linear light of an EXR image that is read as white: darker light is divided by it, brighter light clipped. None: 1, and
     brighter light is read as more than 1."""
+    base_from_world: NDArray[np.float64] | None = None
+    """(4, 4) where the object, whose frame the world is, was in the room of the robot's base when the image was taken
+    [world unit]. It turns with a turntable, and differs from before to after a person turned the object over. None: not known."""
 
     def read(self) -> NDArray[np.float32]:
         """(height, width, 3 or 4) sRGB in 0..1, alpha straight; a mask becomes the alpha.
@@ -311,10 +317,8 @@ class Scene:
     notes: tuple[str, ...] = ()
     """What the reader had to assume or leave out, one line each."""
     provenance: dict[str, Any] = field(default_factory=dict)
-    light_frame: LightFrameName | None = None
-    """One of `LIGHT_FRAMES`; None where the source does not say where the lamps stand still."""
-    light_axis: tuple[float, float, float] | None = None
-    """Unit vector in the world about which the object turned, where `light_frame` is "turntable"."""
+    lamps: LampsName | None = None
+    """One of `LAMPS`; None where the source does not say what the lamps stand on."""
     bounds_from: str = STATED
     """Evidence for near, far and box, the box's first: "stated", "cameras alone", or how many points or masks."""
 

@@ -20,6 +20,21 @@ from koala3d.datasets.core.errors import DatasetError
 Array = NDArray[np.float64]
 
 
+def before_turntable(axis: ArrayLike, scene_from_camera: ArrayLike) -> Array:
+    """(..., 3, 3) rotations from the scene's axes to those of a room in which every camera is at the azimuth zero.
+
+    The room's z is the (3,) axis, a unit vector in the scene. The azimuth of a camera that looks along it is that to which the
+    bottom of its picture points. Where a turntable turned the object before a camera that stood on one side of the room, that is
+    how the object was turned, but for a rotation that all views share.
+    """
+    rotation = np.asarray(scene_from_camera, np.float64)
+    axis = np.broadcast_to(np.asarray(axis, np.float64), rotation.shape[:-1])
+    back = -rotation[..., 2] + 1e-5 * rotation[..., 1]  # y is down
+    back = back - np.sum(back * axis, -1, keepdims=True) * axis
+    back = back / np.maximum(np.linalg.norm(back, axis=-1, keepdims=True), 1e-30)
+    return np.stack([back, np.cross(axis, back), axis], -2)
+
+
 @dataclass(frozen=True)
 class Axis:
     """The axis about which a table turns, in the base frame, with the covariance of its error."""

@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 from koala3d.capture.model.rig import RigDescription
 from koala3d.capture.model.trajectory import load_trajectory
 from koala3d.capture.planning import plan
+from koala3d.capture.sim.laboratory.scenes import stage
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.conventions import OPENCV_FROM_LLFF, OPENCV_FROM_OPENGL
 from koala3d.datasets.kinematics import link_frames
+from koala3d.datasets.process.world.similarity import Similarity, between
 
 Array = NDArray[np.float64]
 SESSION = Path(__file__).parent.parent / "configs" / "trajectories" / "calibration_demo.yaml"
@@ -28,7 +30,13 @@ DPI = 110
 def draw_all(out: Path) -> list[Path]:
     """Write every drawing into a folder; returns their paths."""
     made = []
-    drawings: dict[str, Callable[[], Figure]] = {"frames": frames, "axes": camera_axes, "pixels": pixels, "ray": ray}
+    drawings: dict[str, Callable[[], Figure]] = {
+        "frames": frames,
+        "axes": camera_axes,
+        "pixels": pixels,
+        "ray": ray,
+        "turned": turned,
+    }
     for name, draw in drawings.items():
         figure = draw()
         figure.savefig(out / f"{name}.png", dpi=DPI, bbox_inches="tight", pad_inches=0.1, metadata={"Software": None})
@@ -183,4 +191,32 @@ def ray() -> Figure:
                   arrowprops={"arrowstyle": "-", "color": "#1f77b4"}, color="#1f77b4")  # fmt: skip
     axes.set(xlim=(-0.35, 4.2), ylim=(-0.95, 2.25), aspect="equal")
     axes.set_axis_off()
+    return figure
+
+
+def turned() -> Figure:
+    """Two sessions of the simulated mug, upright and turned over, and both in the frame of the first."""
+    figure = _figure(10, 3.6)
+    session = load_trajectory(SESSION.with_name("koala_demo.yaml"))
+    cameras = [one.camera_pose(RigDescription().carrier()) for one in session.viewpoints()][::2]
+    meshes = [
+        stage("mug", centre=(0.4, 0, 0.15), size=(0.26, 0.26, 0.3), seed=0, pose=lying).mesh() for lying in ("upright", "under")
+    ]
+    moved = between(meshes[1].vertices, meshes[0].vertices)
+    panels = (("first session", 0, [("#2f6fde", Similarity())]), ("turned over", 1, [("#d0342c", Similarity())]))
+    both = ("merged", 0, [("#2f6fde", Similarity()), ("#d0342c", moved)])
+    for number, (title, which, sessions) in enumerate((*panels, both)):
+        axes: Any = figure.add_axes((number / 3, -0.12, 1 / 3, 1.2), projection="3d", computed_zorder=False)
+        mesh = meshes[which]
+        axes.plot_trisurf(*mesh.vertices.T, triangles=mesh.faces, color="#c8d2dc", shade=True, linewidth=0)
+        for colour, motion in sessions:
+            for camera in cameras:
+                start = motion.points(camera[:3, 3])
+                end = motion.points(camera[:3, 3] + 0.05 * camera[:3, 2])
+                axes.plot(*np.stack([start, end], 1), color=colour, linewidth=1.2)
+                axes.plot(*start[:, None], "o", color=colour, markersize=3)
+        axes.set(xlim=(0.05, 0.75), ylim=(-0.35, 0.35), zlim=(-0.3, 0.4))
+        axes.set_title(title, y=0.95)
+        axes.set_axis_off()
+        axes.view_init(elev=14, azim=-60)
     return figure

@@ -67,6 +67,10 @@ Radiometry = Annotated[
     Path | None,
     Option(metavar="FLAT.npz", help="File of 'capture flat' to keep with the recording. Default: that of the rig file."),
 ]
+Pose = Annotated[
+    str,
+    Option("--pose", metavar="NAME", help="How the object lies: after a person has turned it over, 'under' or another name."),
+]
 DryRun = Annotated[
     bool,
     Option(
@@ -90,6 +94,7 @@ def run(
     seed: Seed = 0,
     time_scale: TimeScale = 20.0,
     radiometry: Radiometry = None,
+    pose: Pose = "upright",
     slow: Slow = 1.0,
     confirm: Confirm = False,
     dry_run: DryRun = False,
@@ -114,6 +119,7 @@ def run(
     from koala3d.datasets.core.errors import KoalaError
     from koala3d.datasets.core.files import refuse_existing
     from koala3d.datasets.reports import rerun_file
+    from koala3d.datasets.scene import checked_name
 
     goal = CoverageGoal(until_coverage, views, minutes)
     _agree(adaptive, goal, calibration, view)
@@ -121,7 +127,7 @@ def run(
     rerun_file.require(rerun)
     session = load_trajectory(trajectory, overrides=settings)
     options = SessionOptions(rig, scene_for(rig, scene, session), seed, time_scale, radiometry, take_over, resume, slow=slow)
-    options = replace(options, ask=asker(confirm), ignore=tuple(ignore or ()))
+    options = replace(options, ask=asker(confirm), ignore=tuple(ignore or ()), pose=checked_name(pose, where="--pose"))
     if out is None:
         found, text = _driven(session, options)
         console.report(found, as_json=as_json, text=text)

@@ -10,7 +10,7 @@ from koala3d.capture.model.trajectory import Trajectory, recorded_trajectory
 from koala3d.capture.rig.rig import Rig
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.radiometry.response import added_black
-from koala3d.datasets.recording import RADIOMETRY, Recording
+from koala3d.datasets.recording import POSE, RADIOMETRY, UPRIGHT, Recording
 
 DEVICES = (
     ("robot", "model", "arm"),
@@ -71,6 +71,7 @@ def require_same_session(recording: Recording, trajectory: Trajectory, rig: Rig)
         "rig": (_anywhere(recorded_rig(recording)), _anywhere(rig.description)),
         "scene": (recording.manifest.get("scene"), now["scene"]),
         "seed": (recording.manifest.get("seed"), now["seed"]),
+        "pose": (recording.pose, now.get(POSE, UPRIGHT)),
     }
     for key, (was, new) in pairs.items():
         if was != new:

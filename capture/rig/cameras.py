@@ -11,6 +11,7 @@ from koala3d.capture.model.flaws import Flaws
 from koala3d.capture.model.rig import RigDescription
 from koala3d.capture.model.trajectory import CameraSettings, Trajectory
 from koala3d.capture.rig.naming import describe, is_simulated
+from koala3d.datasets.recording import UPRIGHT
 
 if TYPE_CHECKING:
     from koala3d.capture.rig.controllers import Simulation
@@ -74,8 +75,9 @@ def camera_in(
     seed: int,
     turned: "SimulatedTurntable | None",
     number: int,
+    pose: str = UPRIGHT,
 ) -> tuple[Camera, GroundTruth | None]:
-    """The camera of a rig, not connected, and what knows the truth about it; `number` as in `SimulatedCamera`."""
+    """The camera of a rig, not connected, and what knows the truth about it; `number` and `pose` as in `SimulatedCamera`."""
     if controller is None:
         return driver_of(rig.camera, trajectory.camera), None
     from koala3d.capture.sim.camera import SimulatedCamera
@@ -84,7 +86,7 @@ def camera_in(
     truth, flaws = RigTruth.of(rig.carrier(), trajectory, seed_of_camera(seed, number)), _flaws_of(rig)
     lamps = tuple(lamp.output for lamp in rig.lamps.values()) if trajectory.switches else ()
     made = SimulatedCamera(
-        trajectory, scene, truth, controller, seed, flaws, device=rig.camera, table=turned, number=number, lamps=lamps
+        trajectory, scene, truth, controller, seed, flaws, device=rig.camera, table=turned, number=number, lamps=lamps, pose=pose
     )
     return made, made
 

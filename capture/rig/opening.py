@@ -21,6 +21,7 @@ from koala3d.capture.rig.naming import describe
 from koala3d.capture.rig.rig import Rig
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.incidents import IGNORED
+from koala3d.datasets.recording import POSE, UPRIGHT
 
 if TYPE_CHECKING:
     from koala3d.capture.rig.controllers import Simulation
@@ -39,6 +40,7 @@ def open_rig(
     take_over: bool = False,
     radiometry: Path | None = None,
     moves: Moves | None = None,
+    pose: str = UPRIGHT,
 ) -> Iterator[Rig]:
     """Connect cameras, arm and turntable, in this order; leaving the context closes all.
 
@@ -51,6 +53,7 @@ def open_rig(
         take_over: end a program that runs on the controller; else the arm is left to it.
         radiometry: measured response of the camera, in place of the one that the rig file names.
         moves: how the arm moves; None: with the speeds of the trajectory.
+        pose: name of the way in which the object lies, for the manifest; in a simulation it lies so.
 
     Raises UsageError: `radiometry` for several cameras, views that need a turntable or lamps which the rig lacks, or a real arm
     whose payload nobody states. KoalaError names the camera that could not be opened.
@@ -72,7 +75,7 @@ def open_rig(
             for number, (camera_name, one) in enumerate(description.each.items()):
                 with naming(camera_name):
                     stack.enter_context(_camera_lock(one, controller))
-                    camera, truth = camera_in(one, trajectory, controller, scene, seed, turned, number)
+                    camera, truth = camera_in(one, trajectory, controller, scene, seed, turned, number, pose)
                     opened[camera_name] = stack.enter_context(camera), one, truth
             stack.enter_context(device_lock(f"arm-{description.robot.host}", "arm", controller))
             robot = stack.enter_context(arm_of(description, trajectory, controller, take_over))
@@ -80,7 +83,7 @@ def open_rig(
             lamps = stack.enter_context(_lamps(description, controller) if trajectory.switches else nullcontext())
             driven = table if turned is None else turned.reached
             turntable = stack.enter_context(_turntable(driven))  # last, since it may turn to find its zero
-            extra: dict[str, Any] = {} if controller is None else {"scene": scene, "seed": seed}
+            extra: dict[str, Any] = {POSE: pose} | ({} if controller is None else {"scene": scene, "seed": seed})
             extra |= {IGNORED: ignored} if ignored else {}
             parts: dict[str, Any] = {"extra": extra, "turntable": turntable, "links": links, "moves": moves, "lamps": lamps}
             rigs = {key: Rig(robot, camera, one, name, truth, **parts) for key, (camera, one, truth) in opened.items()}

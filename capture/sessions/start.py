@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from koala3d.datasets.core import console
+from koala3d.datasets.recording import UPRIGHT
 
 if TYPE_CHECKING:
     from koala3d.capture.model.trajectory import Trajectory
@@ -30,6 +31,7 @@ class SessionOptions:
     take_over: bool = False
     resume: bool = False
     ignore: tuple[str, ...] = ()
+    pose: str = UPRIGHT
     slow: float = 1.0
     ask: "Callable[[NextMove], bool] | None" = None
 
@@ -58,6 +60,7 @@ class SessionOptions:
             take_over=self.take_over,
             radiometry=self.radiometry,
             moves=self.moves(),
+            pose=self.pose,
         )
         with session_log.kept(out, **provenance.facts(), resume=self.resume), opening as rig:
             cameras = [{key: one.camera.description().get(key) for key in CAMERA} for one in rig.each.values()]

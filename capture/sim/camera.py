@@ -25,6 +25,7 @@ from koala3d.datasets import pose
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core import files
 from koala3d.datasets.imaging import images
+from koala3d.datasets.recording import UPRIGHT
 
 MOMENTS = 16  # number of moments of an exposure at which the pose of the arm is sampled
 SHARP_PX = 0.05  # smaller motion during an exposure is not rendered [px]
@@ -98,6 +99,7 @@ class SimulatedCamera:
         device: the camera of the rig.
         table: what turns the object before still lamps; None: it stands.
         number: which of the rig's cameras it is, from 0; each has flaws and noise of its own.
+        pose: name of the way in which the object lies.
         lamps: digital outputs of the arm's controller that switch the lamps of the laboratory; empty: it is lit evenly.
     """
 
@@ -113,10 +115,12 @@ class SimulatedCamera:
         device: Device | None = None,
         table: SimulatedTurntable | None = None,
         number: int = 0,
+        pose: str = UPRIGHT,
         lamps: tuple[int, ...] = (),
     ) -> None:
         self.lamps = lamps
-        self.view = make_view(scene, trajectory, seed, truth.beside.flange_from_board if truth.beside is not None else None)
+        board = truth.beside.flange_from_board if truth.beside is not None else None
+        self.view = make_view(scene, trajectory, seed, board, pose=pose)
         self.trajectory, self.truth, self.seed = trajectory, truth, seed_of_camera(seed, number)
         self._arm, self._frame, self._table = arm, 0, table
         self._world_from_camera: NDArray[np.float64] | None = None

@@ -84,8 +84,9 @@ def build(
     notes += incomplete_notes(recording, len(frames)) + depth_notes(frames)
     views, maps, response = [], truth_maps(recording.path), recording.response(radiometry)
     with developing(recording, response, out) as developed:
-        for frame, world_from_camera in zip(frames, calibration.camera_poses(frames), strict=True):
-            view = _view(recording, frame, camera, world_from_camera)
+        placed = calibration.object_poses(frames)
+        for frame, world_from_camera, base_from_world in zip(frames, calibration.camera_poses(frames), placed, strict=True):
+            view = replace(_view(recording, frame, camera, world_from_camera), base_from_world=base_from_world)
             truth = {channel: found[frame.name] for channel, found in maps.items() if frame.name in found}
             views.append(developed.picture(replace(view, truth=truth), frame))
             done()
@@ -132,6 +133,7 @@ def _scene(
     provenance = {
         "format": koala.FORMAT,
         "recording": recording.part(BAG).get("path") or str(recording.path.absolute()),
+        "pose": recording.pose,
         "calibration": str(Path(calibration_path).absolute()),
         "calibration_sha256": files.sha256(calibration_path),
         "manifest_sha256": files.sha256(recording.path / MANIFEST),
@@ -141,9 +143,9 @@ def _scene(
         "software": {"koala-capture": version("koala-capture")},
     }
     near = NEAR_SHARE * bounds.depth_range(views, box)[0]
-    light = light_of(recording, views, calibration.turntable)
+    light = light_of(recording)
     scene = Scene(name, views, near, np.inf, box, "scene", True, provenance=provenance, bounds_from=evidence)
-    scene = replace(scene, light_frame=light.frame, light_axis=light.axis, notes=(*notes, *light.notes))
+    scene = replace(scene, lamps=light.lamps, notes=(*notes, *light.notes))
     if recording.turns:
         return replace(scene, notes=(*scene.notes, BACKGROUND_STANDS))
     return scene if evidence == CAMERAS_ALONE else with_measured_near(scene)  # `load_scene(..., measure=True)` measures all

@@ -15,6 +15,9 @@ from koala3d.datasets.core.options import DataRoot, Json, OutFolder
 from koala3d.datasets.process.commands import Length, MarkerSide, Positions, Up, evidence, wishes_of
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from koala3d.datasets.process.world.alignment import Wishes
     from koala3d.datasets.scene import Scene
 
@@ -49,6 +52,19 @@ Crop = Annotated[
 ]
 Downscale = Annotated[
     int | None, typer.Option(metavar="N", min=2, help="Divide width and height by this factor.", rich_help_panel=PICTURES)
+]
+
+
+Turned = Annotated[bool, typer.Option("--turned", help="The second scene shows the object after a person turned it over.")]
+Rough = Annotated[
+    tuple[float, float, float] | None,
+    typer.Option(
+        metavar="X Y Z", help="With --turned: roughly the rotation vector from the second scene to the first [deg]: 180 0 0."
+    ),
+]
+Points = Annotated[
+    Path | None,
+    typer.Option(help="With --turned: a text file with a line for each of three points of the object, x y z in both scenes."),
 ]
 
 
@@ -92,6 +108,20 @@ class Edit:
         moved = f"they moved by {found.moved_mm:.3f} mm, {found.moved_deg:.4f} deg rms" if found.used else "they are unchanged"
         self.lines.append(f"poses   {found.reason}; {moved}")
         return found.scene
+
+    def turned(self, a: "Scene", b: "Scene", out: Path, start: "NDArray[np.float64] | None") -> "Scene":
+        """Both sessions of an object that was turned over in between."""
+        from koala3d.datasets.edit.turned import joined
+        from koala3d.datasets.scene import TURNED
+        from koala3d.datasets.turned.registration import registered, starts_of
+
+        with console.progress("poses", len(starts_of(start)), "starts") as shown:
+            found = registered(a, b, start, done=shown.advance)
+        both = joined(a, b, found, out.resolve().name)
+        shift, turn = found.deviations
+        self.facts[TURNED] = {**both.provenance[TURNED], "deviations": {"shift": shift, "turn_rad": turn}}
+        self.lines.append(f"turned  {both.notes[-1]}")
+        return both
 
 
 def edit(
@@ -157,19 +187,56 @@ def _splits(text: str) -> list[str]:
 
 
 def merge(
-    scenes: Annotated[list[str], typer.Argument(metavar="SCENE", help="Scenes that share a coordinate frame.")],
+    scenes: Annotated[list[str], typer.Argument(metavar="SCENE", help="Scenes that share a coordinate frame, or two sessions.")],
     out: OutFolder,
+    turned: Turned = False,
+    rough: Rough = None,
+    points: Points = None,
     data_root: DataRoot = None,
     as_json: Json = False,
 ) -> None:
-    """Write one scene with the views of several that share a coordinate frame."""
+    """Write one scene with the views of several that share a coordinate frame.
+
+    With --turned: of two sessions of an object that was turned over in between. How, is found by the outlines of its masks."""
+    from koala3d.datasets.core.errors import UsageError
     from koala3d.datasets.edit import edit
     from koala3d.datasets.formats import load_scene
     from koala3d.datasets.formats.links import plain_masks
 
+    if turned and len(scenes) != 2:
+        raise UsageError("an object is turned over between two sessions", where="--turned", why=f"{len(scenes)} scenes are given")
+    if not turned and (given := [name for name, value in (("--rough", rough), ("--points", points)) if value is not None]):
+        raise UsageError("is for an object that was turned over", where=given[0], remedy="add --turned, or leave it out")
+    start, made = _start(rough, points), Edit({}, [])
     with ExitStack() as stack:
         others = [stack.enter_context(plain_masks(load_scene(name, data_root=data_root))) for name in scenes[1:]]
+        if turned:
+            return _write(scenes[0], out, data_root, as_json, lambda s, *_: made.turned(s, others[0], out, start), made)
         _write(scenes[0], out, data_root, as_json, lambda s, folder, done: edit.merge([s, *others], out.resolve().name))
+
+
+def _start(rough: tuple[float, float, float] | None, points: Path | None) -> "NDArray[np.float64] | None":
+    """How the object was moved, as a person says it. Raises UsageError where that is said twice or means nothing."""
+    from koala3d.datasets.core.errors import UsageError
+
+    if rough is not None and points is not None:
+        raise UsageError("says the same as --points", where="--rough", remedy="leave one of them out")
+    if rough is not None:
+        import numpy as np
+
+        from koala3d.datasets import pose
+
+        return pose.from_rotation_vector(np.deg2rad(rough))[:3, :3]
+    if points is None:
+        return None
+    from koala3d.datasets.core.errors import DatasetError
+    from koala3d.datasets.edit.turned import by_points
+
+    try:
+        rows = [[float(word) for word in line.replace(",", " ").split()] for line in points.read_text("utf-8").splitlines()]
+        return by_points([row for row in rows if row])
+    except (OSError, ValueError) as error:
+        raise DatasetError("points cannot be read", where=points, why=str(error)) from None
 
 
 def _write(

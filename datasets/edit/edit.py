@@ -83,8 +83,7 @@ def merge(scenes: Sequence[Scene], name: str) -> Scene:
     ]
     views = [replace(v, name=new[v.name]) for scene, new in zip(scenes, renamed, strict=True) for v in scene.views]
     boxes = np.stack([scene.box for scene in scenes])
-    light, *others = {(scene.light_frame, scene.light_axis) for scene in scenes}
-    frame, axis = (None, None) if others else light
+    lamps, *others = {scene.lamps for scene in scenes}
     points, colours, sightings = _merged_points(scenes, renamed)
     return replace(
         scenes[0],
@@ -97,8 +96,7 @@ def merge(scenes: Sequence[Scene], name: str) -> Scene:
         colours=colours,
         sightings=sightings,
         notes=tuple(note for s in scenes for note in s.notes),
-        light_frame=frame,
-        light_axis=axis,
+        lamps=None if others else lamps,
         provenance={"format": "koala", "merged": [s.provenance for s in scenes]},
         bounds_from="; ".join(dict.fromkeys(s.bounds_from for s in scenes)),
     )

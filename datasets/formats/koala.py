@@ -108,6 +108,7 @@ def _saved_view(view: View, folder: Path) -> dict[str, Any]:
         "depth_unit": view.depth_unit,
         "camera": view.camera.to_json(),
         "world_from_camera": view.world_from_camera.tolist(),
+        **sidecar.placed(view),
     }
 
 
@@ -157,6 +158,7 @@ def _loaded_view(entry: Any, folder: Path, *, where: str) -> View:
         truth = sidecar.truth_of(entry.get("truth", {}), folder, where=where)
         camera = Camera.from_json(entry["camera"], where=f"{where}, camera")
         matrix = pose.checked(entry["world_from_camera"], where=f"{where}, world_from_camera")
+        placed = sidecar.place_of(entry, where=where)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise DatasetError("view is not complete", where=where, why=f"{type(error).__name__} {error}") from None
     if split not in SPLITS:
@@ -164,4 +166,5 @@ def _loaded_view(entry: Any, folder: Path, *, where: str) -> View:
     paths = (files.inside(folder, one, where=where) if one else None for one in (mask, deviation, ignored))
     mask, deviation, ignored = paths
     picture, white = files.inside(folder, image, where=where), white and float(white)
-    return View(name, camera, matrix, split, picture, mask, truth, unit, ignored=ignored, deviation=deviation, white=white)
+    beside: dict[str, Any] = {"ignored": ignored, "deviation": deviation, "white": white, "base_from_world": placed}
+    return View(name, camera, matrix, split, picture, mask, truth, unit, **beside)

@@ -10,10 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from koala3d.datasets import pose
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import DatasetError
-from koala3d.datasets.scene import CHANNELS, LIGHT_FRAMES, SPLITS, STATED, Scene, View, checked_name
+from koala3d.datasets.scene import CHANNELS, LAMPS, SPLITS, STATED, Scene, View, checked_name
+from koala3d.datasets.turntable import before_turntable
 
 FILE = "koala.json"
 FORMAT, VERSION = "koala-sidecar", 1
@@ -25,6 +28,7 @@ def write(folder: Path, scene: Scene, views: dict[str, View]) -> None:
     def entry(index: int, view: View) -> dict[str, Any]:
         truth = {key: path.relative_to(folder).as_posix() for key, path in view.truth.items()}
         found = {"index": index, "name": view.name, "split": view.split, "truth": truth, "depth_unit": view.depth_unit}
+        found |= placed(view)
         return found | {"mask_ignores": True} if view.ignored else found
 
     entries = {name: entry(index, view) for index, (name, view) in enumerate(views.items())}
@@ -35,7 +39,7 @@ def write(folder: Path, scene: Scene, views: dict[str, View]) -> None:
 def facts(scene: Scene) -> dict[str, Any]:
     """The values of a whole scene, for JSON; an infinite far is null."""
     keys = ("name", "metric", "background", "near", "far", "box", "bounds_from", "notes", "provenance")
-    keys += ("light_frame", "light_axis") if scene.light_frame is not None else ()
+    keys += ("lamps",) if scene.lamps is not None else ()
     far = scene.far if np.isfinite(scene.far) else None
     return {key: getattr(scene, key) for key in keys} | {"far": far}
 
@@ -56,27 +60,48 @@ def scene_of(content: dict[str, Any], views: tuple[View, ...], *, where: object)
         raise DatasetError("box is empty or not finite", where=where, why=str(box.tolist()))
     if not 0 <= near < far:
         raise DatasetError("near and far are not in order", where=where, why=f"near {near}, far {far}")
-    evidence, light = str(content.get("bounds_from", STATED)), _light(content, where)
-    more: dict[str, Any] = {"notes": notes, "provenance": provenance, "bounds_from": evidence, **light}
-    return Scene(name, views, near, far, box, background, metric, **more)
+    evidence, lamps = str(content.get("bounds_from", STATED)), content.get("lamps")
+    if lamps is not None and lamps not in LAMPS:
+        raise DatasetError(f"no lamps on {str(lamps)[:80]!r}", where=where, remedy=f"valid: {', '.join(LAMPS)}")
+    more: dict[str, Any] = {"notes": notes, "provenance": provenance, "bounds_from": evidence, "lamps": lamps}
+    return _as_older_files_say(Scene(name, views, near, far, box, background, metric, **more), content, where)
 
 
-def _light(content: dict[str, Any], where: object) -> dict[str, Any]:
-    """Where the lamps stand still, of `facts`; nothing where they do not say. Raises DatasetError where it is impossible."""
+def _as_older_files_say(scene: Scene, content: dict[str, Any], where: object) -> Scene:
+    """The scene with the `light_frame` and `light_axis` of files that name the frame in which lamps stand still.
+
+    Of a turntable they hold the axis alone. The views get poses that turn about it, as far as the camera stood on one side of
+    the room. Raises DatasetError where they are impossible.
+    """
     frame, axis = content.get("light_frame"), content.get("light_axis")
     if frame is None:
-        return {}
-    if frame not in LIGHT_FRAMES:
-        raise DatasetError(f"no light frame called {str(frame)[:80]!r}", where=where, remedy=f"valid: {', '.join(LIGHT_FRAMES)}")
+        return scene
+    if frame not in ("world", "camera", "turntable"):
+        raise DatasetError(f"no light frame called {str(frame)[:80]!r}", where=where, remedy="valid: world, camera, turntable")
+    if frame != "turntable":
+        return replace(scene, lamps="object" if frame == "world" else "camera")
     if axis is None:
-        return {"light_frame": frame}
+        return replace(scene, lamps="room")
     try:
         x, y, z = (float(value) for value in axis)
     except (TypeError, ValueError) as error:
         raise DatasetError("light_axis is no vector", where=where, why=str(error)) from None
     if not abs(np.linalg.norm([x, y, z]) - 1) < 1e-3:
         raise DatasetError("light_axis is no unit vector", where=where, why=str([x, y, z]))
-    return {"light_frame": frame, "light_axis": (x, y, z)}
+    turned = before_turntable((x, y, z), np.stack([view.world_from_camera[:3, :3] for view in scene.views]))
+    views = (replace(v, base_from_world=pose.rigid(r, np.zeros(3))) for v, r in zip(scene.views, turned, strict=True))
+    return replace(scene, views=tuple(views), lamps="room")
+
+
+def placed(view: View) -> dict[str, Any]:
+    """Where the object was, for JSON; empty where that is not known."""
+    return {} if view.base_from_world is None else {"base_from_world": view.base_from_world.tolist()}
+
+
+def place_of(entry: dict[str, Any], *, where: object) -> NDArray[np.float64] | None:
+    """(4, 4) inverse of `placed`. Raises DatasetError where it is no pose."""
+    given = entry.get("base_from_world")
+    return None if given is None else pose.checked(given, where=f"{where}, base_from_world")
 
 
 def truth_of(content: Any, folder: Path, *, where: object) -> dict[str, Path]:
@@ -126,6 +151,7 @@ def restore(content: dict[str, Any], views: tuple[View, ...], folder: Path, *, n
             if entry["split"] not in SPLITS:
                 raise DatasetError(f"no split called {entry['split']!r}", where=f"{where}, {view.name}")
             unit = unit_of(entry, view.depth_unit)
+            view = replace(view, base_from_world=place_of(entry, where=f"{where}, {view.name}"))
             if entry.get("mask_ignores") is True:
                 view = replace(view, mask=None, ignored=view.mask)
             return replace(view, name=name, split=entry["split"], truth=truth, depth_unit=unit)

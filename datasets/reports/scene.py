@@ -15,7 +15,7 @@ from koala3d.datasets.core.progress import Count, ignore
 from koala3d.datasets.formats import load_scene
 from koala3d.datasets.imaging import images
 from koala3d.datasets.reports.html import Number, ReportPage
-from koala3d.datasets.scene import Scene, View
+from koala3d.datasets.scene import TURNED, Scene, View
 from koala3d.datasets.structure import bounds
 
 THUMBNAIL = 190  # width of the thumbnails [px]
@@ -50,7 +50,8 @@ def write(
     else:
         page.paragraph("Nothing is wrong." if matches else "Nothing is wrong; features were not matched between views.")
     _bounds(page, scene)
-    page.section("Where the cameras are", "Training blue, test red; the object's box in ochre.")
+    both = "; squares are those after the object was turned over" if turned_views(scene) else ""
+    page.section("Where the cameras are", f"Training blue, test red; the object's box in ochre{both}.")
     page.drawing(cameras(scene))
     page.section("Every view")
     page.table(COLUMNS, [_row(view, scene) for view in scene.views])
@@ -96,13 +97,19 @@ def _thumbnails(scene: Scene) -> Iterator[tuple[str, NDArray[np.floating]]]:
         )
 
 
+def turned_views(scene: Scene) -> frozenset[str]:
+    """Names of the views of the second session, of an object that was turned over."""
+    found = scene.provenance.get(TURNED)
+    return frozenset(found["views"] if isinstance(found, dict) and isinstance(found.get("views"), list) else ())
+
+
 def cameras(scene: Scene) -> str:
     """Cameras and box from above and from the side, as SVG."""
     from matplotlib.patches import Rectangle
 
     from koala3d.datasets.reports.drawing import blank, svg_of
 
-    figure = blank(9, 4.2)
+    figure, turned = blank(9, 4.2), turned_views(scene)
     matrices = np.stack([view.world_from_camera for view in scene.views])
     reach = 0.12 * float(np.median(np.linalg.norm(matrices[:, :3, 3] - bounds.focus(matrices)[0], axis=1)))
     unit = "m" if scene.metric else "units"
@@ -110,11 +117,12 @@ def cameras(scene: Scene) -> str:
         axes = figure.add_subplot(1, 2, index, aspect="equal", xlabel=f"{'xyz'[i]} [{unit}]", ylabel=f"{'xyz'[j]} [{unit}]")
         low, high = scene.box[:, [i, j]]
         axes.add_patch(Rectangle(tuple(low), *(high - low), fill=False, edgecolor="#be961e", linewidth=1.5))
-        for split, colour in COLOURS.items():
-            chosen = matrices[[view.split == split for view in scene.views]]
+        for split, marker in ((split, marker) for split in COLOURS for marker in "os"):
+            colour = COLOURS[split]
+            chosen = matrices[[v.split == split and (v.name in turned) == (marker == "s") for v in scene.views]]
             if len(chosen):
                 places, ahead = chosen[:, :3, 3][:, [i, j]], chosen[:, :3, 2][:, [i, j]]
-                axes.plot(*places.T, "o", color=colour, markersize=3.5, label=split)
+                axes.plot(*places.T, marker, color=colour, markersize=3.5, label=split)
                 axes.plot(*np.stack([places, places + reach * ahead], 1).transpose(2, 1, 0), color=colour, linewidth=1)
         axes.grid(alpha=0.25)
     return svg_of(figure)

@@ -32,6 +32,11 @@ class Lit(eqx.Module):
         """Of points that cameras look at along unit directions, upright and from their usual distance."""
         if not frame.moves:
             return None
+        if frame.kind == "room":
+            towards, turned = frame.of_room
+            nearest = jnp.argmax(jnp.asarray(towards, jnp.float32) @ viewdirs, 0)
+            rotation = jnp.asarray(turned, jnp.float32)[nearest]
+            return cls(rotation, _rotated(rotation, frame.distance * viewdirs))
         sideways = np.cross(frame.axis, np.eye(3)[np.argmin(np.abs(frame.axis))])  # for those that look along the axis
         axis, sideways = jnp.asarray(frame.axis)[:, None], jnp.asarray(sideways, jnp.float32)[:, None]
         across = normalise(jnp.cross(axis, -viewdirs, axis=0) + 1e-6 * sideways, axis=0)

@@ -53,7 +53,7 @@ def render_along(trained: TrainedModel, frames: Sequence[NDArray[np.float64]], o
     camera = trained.camera(view).undistorted()
 
     def picture(frame: NDArray[np.float64]) -> Picture:
-        return trained.renderer.picture(trained.model, replace(view, world_from_camera=frame), camera)
+        return trained.renderer.picture(trained.model, replace(view, world_from_camera=frame, base_from_world=None), camera)
 
     names = (f"{number:04d}" for number in range(len(frames)))
     _write(zip(names, two_at_a_time(picture, frames), strict=True), len(frames), out)

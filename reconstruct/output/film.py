@@ -45,7 +45,7 @@ def _pictures(trained: TrainedModel, frames, shown: Sequence[str], bar) -> Itera
 
     def frame(world_from_camera: NDArray[np.float64]) -> Picture:
         return trained.renderer.picture(
-            trained.model, replace(view, world_from_camera=world_from_camera), camera, normals=normals
+            trained.model, replace(view, world_from_camera=world_from_camera, base_from_world=None), camera, normals=normals
         )
 
     for picture in two_at_a_time(frame, frames):

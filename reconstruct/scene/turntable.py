@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from koala3d.reconstruct.scene.light import LightFrame
+from koala3d.datasets.turntable import before_turntable
 
 PAIRS = 2000
 """Pairs of views that are compared, at most."""
@@ -59,10 +59,7 @@ def turning(rotations: Float[np.ndarray, "views 3 3"]) -> Turning | None:
 
 
 def _on_rings(rotations: Float[np.ndarray, "views 3 3"], axis: Float[np.ndarray, " 3"]) -> float:
-    x, y, z = axis.tolist()
-    turned_back = LightFrame("turntable", (x, y, z)).from_scene(rotations)
-    assert turned_back is not None
-    room_from_camera = turned_back @ rotations
+    room_from_camera = before_turntable(axis, rotations) @ rotations
     trace = np.einsum("aij,bij->ab", room_from_camera, room_from_camera)
     fellows = (trace > 1 + 2 * np.cos(ALIKE)).sum(1) - 1
     return float(np.mean(fellows >= FELLOWS))

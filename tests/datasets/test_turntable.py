@@ -15,6 +15,7 @@ from koala3d.datasets.edit.edit import merge
 from koala3d.datasets.formats import load_scene, save_scene
 from koala3d.datasets.imaging import images
 from koala3d.datasets.imaging.region import Region
+from koala3d.datasets.process.world.similarity import Similarity
 from koala3d.datasets.recording import Frame, Recording
 from koala3d.datasets.turntable import Axis
 
@@ -86,13 +87,23 @@ def test_poses_are_in_the_objects_frame(tmp_path: Path, calibration: Path) -> No
         moved = AXIS.base_from_object(frame.turntable_angle) @ spot  # where it is in the base
         seen = pose.inverse(frame.base_from_flange @ MOUNT) @ moved
         np.testing.assert_allclose(pose.inverse(view.world_from_camera) @ spot, seen, atol=1e-12)
+        np.testing.assert_allclose(view.base_from_world @ spot, moved, atol=1e-12)
     np.testing.assert_allclose(scene.views[0].world_from_camera, recording.frames[0].base_from_flange @ MOUNT, atol=1e-12)
-    assert scene.light_frame == "turntable" and np.allclose(scene.light_axis, AXIS.direction)
+    assert scene.lamps == "room"
     assert scene.notes == (BACKGROUND_STANDS,) and np.allclose(scene.box, [[0.31, -0.1, 0.0], [0.51, 0.1, 0.2]])
     save_scene(scene, tmp_path / "colmap", "colmap")
     again = load_scene(tmp_path / "colmap")
-    assert (again.light_frame, again.light_axis) == (scene.light_frame, scene.light_axis)
-    assert merge([scene, scene], "both").light_frame == "turntable"
+    assert again.lamps == "room" and merge([scene, scene], "both").lamps == "room"
+    for view, known in zip(again.views, scene.views, strict=True):
+        np.testing.assert_allclose(view.base_from_world, known.base_from_world, atol=1e-12)
+
+
+def test_in_another_world_the_object_is_where_it_was(tmp_path: Path, calibration: Path) -> None:
+    view = build(recorded(tmp_path / "rec", ROOM, ("key",)).path, calibration, tmp_path / "scene").views[1]
+    moved = Similarity(2.0, pose.from_rotation_vector((0.3, -0.2, 1.0))[:3, :3], np.array([0.1, 0.2, 0.3]))
+    after, spot = moved.view(view), np.array([0.45, 0.02, 0.15])
+    new = after.base_from_world @ [*moved.points(spot), 1]
+    np.testing.assert_allclose(new[:3], 2 * (view.base_from_world @ [*spot, 1])[:3], atol=1e-12)  # of the new unit
 
 
 def test_a_calibration_without_axis_is_refused(tmp_path: Path) -> None:
@@ -107,33 +118,55 @@ RING, PLATE = {"name": "ring", "stands": "flange"}, {"name": "lid", "stands": "t
 
 
 @pytest.mark.parametrize(
-    ("lamps", "lights", "turned", "frame", "note"),
+    ("lamps", "lights", "turned", "stand", "note"),
     [
-        (ROOM, ("key",), True, "turntable", ""),
-        (ROOM, ("key",), False, "world", ""),
+        (ROOM, ("key",), True, "room", ""),
+        (ROOM, ("key",), False, "room", ""),
         ([RING], ("ring",), True, "camera", ""),
         ([RING], ("ring",), False, "camera", ""),
-        ([PLATE], ("lid",), True, "world", ""),
+        ([PLATE], ("lid",), True, "object", ""),
+        ([*ROOM, PLATE], ("lid", "key"), False, "room", ""),
         ([*ROOM, RING], ("ring",), True, "camera", ""),
-        ([*ROOM, RING], ("ring", "key"), True, None, "frames of camera and turntable"),
-        ([], None, True, "turntable", "taken to stand in the room"),
+        ([*ROOM, RING], ("ring", "key"), True, None, "lamps stood on the camera and the room"),
+        ([], None, True, "room", "taken to stand in the room"),
         ([], None, False, None, ""),
         (ROOM, (), True, None, "every lamp was off"),
     ],
 )
-def test_lamps_decide_the_light_frame(lamps, lights, turned, frame, note, tmp_path: Path, calibration: Path) -> None:
+def test_scenes_say_what_lamps_stand_on(lamps, lights, turned, stand, note, tmp_path: Path, calibration: Path) -> None:
     angles = ANGLES if turned else 0 * ANGLES
     azimuths = (0, 0, 0, 0) if turned else (0, 1.5, 3, 4.5)
     recording = recorded(tmp_path / "rec", lamps, lights, angles=angles, azimuths=azimuths)
     scene = build(recording.path, calibration, tmp_path / "scene")
-    assert scene.light_frame == frame
+    assert scene.lamps == stand
     assert note in " ".join(scene.notes) and ("lamp" in " ".join(scene.notes)) == bool(note)
 
 
-def test_an_arm_that_goes_around_a_turning_object_has_no_light_frame(tmp_path: Path, calibration: Path) -> None:
+def test_files_that_name_a_light_frame_are_read(tmp_path: Path, calibration: Path) -> None:
+    """A camera that stands on one side: the poses are the turntable's, but for one turn of the room and the axis's place."""
+    known = build(recorded(tmp_path / "rec", ROOM, ("key",)).path, calibration, tmp_path / "scene")
+    path = tmp_path / "scene" / "cameras.json"
+    content = files.read_json(path)
+    del content["lamps"]
+    for view in content["views"]:
+        del view["base_from_world"]
+    older = {"light_frame": "turntable", "light_axis": AXIS.direction.tolist()}
+    files.write_json(path, {**content, **older})
+    scene = load_scene(tmp_path / "scene")
+    assert scene.lamps == "room"
+    turned = [a.base_from_world[:3, :3] @ b.base_from_world[:3, :3].T for a, b in zip(scene.views, known.views, strict=True)]
+    np.testing.assert_allclose(turned, np.broadcast_to(turned[0], (4, 3, 3)), atol=5e-3)  # the axis is not quite in the middle
+    for frame, lamps in (("world", "object"), ("camera", "camera"), ("turntable", "room")):
+        files.write_json(path, {**content, "light_frame": frame})
+        scene = load_scene(tmp_path / "scene")
+        assert scene.lamps == lamps and scene.views[0].base_from_world is None
+
+
+def test_an_object_that_turns_before_an_arm_that_goes_around_it_is_placed(tmp_path: Path, calibration: Path) -> None:
     recording = recorded(tmp_path / "rec", ROOM, ("key",), azimuths=(0.0, 0.3, 0.6, 0.9))
     scene = build(recording.path, calibration, tmp_path / "scene")
-    assert scene.light_frame is None and "azimuth about the turntable varies by 5" in scene.notes[0]
+    assert scene.lamps == "room" and scene.views[3].base_from_world is not None
+    np.testing.assert_allclose(scene.views[3].base_from_world, AXIS.base_from_object(ANGLES[3]))
 
 
 def test_an_unknown_lamp_is_an_error(tmp_path: Path, calibration: Path) -> None:
@@ -161,10 +194,21 @@ def test_damaged_frames_are_named(wrong, tmp_path: Path) -> None:
     assert Frame.from_json(old, where="line 1").turntable_angle is None  # as recordings without a turntable have it
 
 
-@pytest.mark.parametrize(("key", "value"), [("light_frame", "moon"), ("light_axis", [0, 0]), ("light_axis", [0, 0, 3])])
-def test_damaged_scenes_are_named(key, value, tmp_path: Path, calibration: Path) -> None:
+OLDER = {"light_frame": "turntable"}
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"light_frame": "moon"}, {"lamps": "moon"}, OLDER | {"light_axis": [0, 0]}, OLDER | {"light_axis": [0, 0, 3]}],
+)
+def test_damaged_scenes_are_named(wrong, tmp_path: Path, calibration: Path) -> None:
     build(recorded(tmp_path / "rec", ROOM, ("key",)).path, calibration, tmp_path / "scene")
     path = tmp_path / "scene" / "cameras.json"
-    files.write_json(path, {**files.read_json(path), key: value})
-    with pytest.raises(DatasetError, match=r"cameras.json: (no light frame called 'moon'|light_axis is no)"):
+    content = files.read_json(path)
+    files.write_json(path, {**content, **wrong})
+    with pytest.raises(DatasetError, match=r"cameras.json: (no light frame called 'moon'|no lamps on 'moon'|light_axis is no)"):
+        load_scene(tmp_path / "scene")
+    content["views"][1]["base_from_world"] = np.diag([1.0, 2, 1, 1]).tolist()
+    files.write_json(path, content)
+    with pytest.raises(DatasetError, match=r"view 1 \(1\), base_from_world"):
         load_scene(tmp_path / "scene")

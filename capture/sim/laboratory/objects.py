@@ -78,6 +78,24 @@ def crystal_capture(rng: np.random.Generator) -> list[Part]:
     ]
 
 
+def mug() -> list[Part]:
+    """A mug of 8 cm by 9.5 cm with a handle: thick lacquer on its wall, a foot ring below, hollow above."""
+    outside = [(0.0, 0.004), (0.024, 0.004), (0.026, 0.0), (0.030, 0.0), (0.032, 0.004), (0.038, 0.016), (0.040, 0.03)]
+    inside = [(0.040, 0.092), (0.0385, 0.095), (0.036, 0.092), (0.036, 0.02), (0.030, 0.009), (0.0, 0.008)]
+    body = trimesh.creation.revolve(np.array(outside + inside), sections=2 * SECTIONS)
+    bend, around = (grid.ravel() for grid in np.meshgrid(np.linspace(-1.75, 1.75, 49), np.linspace(0, 2 * np.pi, 32, False)))
+    away = 0.024 + 0.0055 * np.cos(around)
+    points = np.stack([0.043 + away * np.cos(bend), 0.0055 * np.sin(around), 0.052 + 1.25 * away * np.sin(bend)], -1)
+    row, column = (grid.ravel() for grid in np.meshgrid(np.arange(32), np.arange(48), indexing="ij"))
+    corner = lambda down, right: (row + down) % 32 * 49 + column + right  # noqa: E731
+    faces = [np.stack([corner(0, 0), corner(0, 1), corner(1, 1)], -1), np.stack([corner(0, 0), corner(1, 1), corner(1, 0)], -1)]
+    ends = [[0, *range(31 * 49, 0, -49)], [48, *range(48 + 49, 32 * 49, 49)]]
+    caps = [[end[0], end[i], end[i + 1]] for end in ends for i in range(1, 31)]
+    handle = trimesh.Trimesh(points, np.concatenate([*faces, caps]), process=False)
+    handle.fix_normals()
+    return [("mug", joined([body, handle]), Plastic((0.03, 0.09, 0.30), 0.08), False)]
+
+
 def _crystal(rng: np.random.Generator, radius: float, height: float, place: NDArray[np.float64], lean: float) -> trimesh.Trimesh:
     """One crystal with its foot at (2,) `place`, leaning outwards by `lean` [rad]."""
     sides = np.arange(6) * np.pi / 3 + rng.uniform(0, np.pi / 3)

@@ -13,12 +13,14 @@ from koala3d.capture.drivers.errors import SimulationError
 from koala3d.capture.sim.laboratory import objects, textures
 from koala3d.capture.sim.laboratory.materials import Glass, Material, Matt, Metal
 from koala3d.datasets.core.errors import UsageError, nearest
+from koala3d.datasets.recording import UPRIGHT
 
 SCENES = {
     "gold_head": "a life-like head of rough gold on a plinth",
     "shiny_ball": "a mirror ball among coloured blocks",
     "lidar_guts": "the inside of a lidar: machined metal, circuit boards, a lens",
     "crystal_capture": "clear crystals on a stone",
+    "mug": "a lacquered mug with a handle, on a foot ring",
     "board": "the calibration target of the trajectory",
     "grey_card": "an evenly lit grey card that fills the picture",
     "lens_cap": "darkness",
@@ -67,19 +69,22 @@ def check_name(name: str) -> str:
     return name
 
 
-def stage(name: str, *, centre: ArrayLike, size: ArrayLike, seed: int) -> Stage:
-    """The stage of a scene. The object stands in the middle of the bottom of the object volume.
+def stage(name: str, *, centre: ArrayLike, size: ArrayLike, seed: int, pose: str = UPRIGHT) -> Stage:
+    """The stage of a scene. The object stands in the middle of the bottom of the object volume, or lies as in another pose.
 
     Args:
         name: a scene other than "board".
         centre: (3,) centre of the object volume in the frame of the table [m].
         size: (3,) its edges [m].
         seed: of the textures.
+        pose: a name; each but "upright" is another way to put the object down again, see `turned_over`.
     """
     rng = np.random.default_rng([seed, 11])
     centre, size = np.asarray(centre, np.float64), np.asarray(size, np.float64)
     parts = _parts(name, np.random.default_rng([seed, 12]))
     _place([mesh for _, mesh, _, _ in parts], centre, size)
+    if pose != UPRIGHT:
+        turned_over([mesh for _, mesh, _, _ in parts], centre, np.random.default_rng([seed, 13, *pose.encode()]))
     things = [Item(part, mesh, material, smooth=smooth) for part, mesh, material, smooth in parts]
     return Stage(name, (*things, _table(centre, rng), *_props(centre, size, rng)), textures.room(rng), len(things))
 
@@ -99,6 +104,8 @@ def _parts(name: str, rng: np.random.Generator) -> list[objects.Part]:
     if name == "crystal_capture":
         return objects.crystal_capture(rng)
     known = ", ".join(other for other in SCENES if other != "board" and other not in CARDS)
+    if name == "mug":
+        return objects.mug()
     raise SimulationError(f"scene '{name}' has no object", remedy=f"for an object trajectory use one of {known}")
 
 
@@ -112,6 +119,22 @@ def _place(meshes: list[trimesh.Trimesh], centre: NDArray[np.float64], size: NDA
         mesh.apply_translation([-middle[0], -middle[1], -lower[2]])
         mesh.apply_scale(scale)
         mesh.apply_translation([centre[0], centre[1], floor])
+
+
+def turned_over(meshes: list[trimesh.Trimesh], centre: NDArray[np.float64], rng: np.random.Generator) -> None:
+    """Turn the object over as a person does, about an axis that is nearly level, and put it down on the table again.
+
+    It is turned by 180 degrees, give or take 20, about an axis tilted by up to 20 degrees, and moved by up to 2 cm each way.
+    """
+    tilt, towards, angle = np.deg2rad([rng.uniform(-20, 20), rng.uniform(0, 360), 180 + rng.uniform(-20, 20)])
+    axis = [np.cos(tilt) * np.cos(towards), np.cos(tilt) * np.sin(towards), np.sin(tilt)]
+    motion = trimesh.transformations.rotation_matrix(angle, axis, centre)
+    for mesh in meshes:
+        mesh.apply_transform(motion)
+    lower, upper = np.min([mesh.bounds[0] for mesh in meshes], axis=0), np.max([mesh.bounds[1] for mesh in meshes], axis=0)
+    shift = [*(centre[:2] - (lower + upper)[:2] / 2 + rng.uniform(-0.02, 0.02, 2)), -lower[2]]
+    for mesh in meshes:
+        mesh.apply_translation(shift)
 
 
 def _table(centre: NDArray[np.float64], rng: np.random.Generator) -> Item:

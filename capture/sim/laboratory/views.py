@@ -22,6 +22,7 @@ from koala3d.datasets import pose
 from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.core.mitsuba_variant import variant
+from koala3d.datasets.recording import UPRIGHT
 
 Maps = dict[str, NDArray[np.floating]]
 SAMPLES = 9
@@ -237,17 +238,19 @@ def check_scene(scene: str, trajectory: Trajectory) -> str:
     return scene
 
 
-def make_view(scene: str, trajectory: Trajectory, seed: int, flange_from_board: NDArray[np.float64] | None = None) -> InBase:
-    """The view of a scene in the base frame; raises as `check_scene` does.
+def make_view(
+    scene: str, trajectory: Trajectory, seed: int, flange_from_board: NDArray[np.float64] | None = None, *, pose: str = UPRIGHT
+) -> InBase:
+    """The view of a scene in the base frame, with the object in a pose of this name; raises as `check_scene` does.
 
     Where the arm carries the target at `flange_from_board`, the view is that of the target before a dark room, in the flange.
     """
     if flange_from_board is not None and trajectory.target is not None:
         return InBase(BoardView(BoardPicture(trajectory.target, flange_from_board, seed, None)), np.eye(4))
-    return InBase(_on_table(check_scene(scene, trajectory), trajectory, seed), trajectory.base_from_table)
+    return InBase(_on_table(check_scene(scene, trajectory), trajectory, seed, pose), trajectory.base_from_table)
 
 
-def _on_table(scene: str, trajectory: Trajectory, seed: int) -> View:
+def _on_table(scene: str, trajectory: Trajectory, seed: int, lying: str) -> View:
     table_from_base = pose.inverse(trajectory.base_from_table)
     if trajectory.target is not None and trajectory.board is not None and scene == "board":
         table_from_board, target = table_from_base @ trajectory.base_from_board, trajectory.target
@@ -260,4 +263,4 @@ def _on_table(scene: str, trajectory: Trajectory, seed: int) -> View:
         raise SimulationError(f"scene '{scene}' has nowhere to stand")
     samples = FULL_SAMPLES if trajectory.camera.binning == 1 else SAMPLES
     centre = table_from_base[:3, :3] @ volume.centre + table_from_base[:3, 3]
-    return ObjectView(stage(scene, centre=centre, size=volume.size, seed=seed), samples)
+    return ObjectView(stage(scene, centre=centre, size=volume.size, seed=seed, pose=lying), samples)

@@ -26,8 +26,12 @@ class Similarity:
 
     def view(self, view: View) -> View:
         """A view in the new world; its pictures are the same."""
-        matrix = view.world_from_camera
-        return replace(view, world_from_camera=pose.rigid(self.rotation @ matrix[:3, :3], self.points(matrix[:3, 3])))
+        matrix, placed = view.world_from_camera, view.base_from_world
+        if placed is not None:
+            turn = placed[:3, :3] @ self.rotation.T
+            placed = pose.rigid(turn, self.scale * placed[:3, 3] - turn @ self.translation)
+        moved = pose.rigid(self.rotation @ matrix[:3, :3], self.points(matrix[:3, 3]))
+        return replace(view, world_from_camera=moved, base_from_world=placed)
 
     def after(self, first: Self) -> "Similarity":
         """`first` and then this."""

@@ -12,6 +12,7 @@ from koala3d.datasets.structure.matching import Matches
 from koala3d.reconstruct.config import Config, Kind
 from koala3d.reconstruct.models import of_kinds
 from koala3d.reconstruct.scene.facts import SceneFacts
+from koala3d.reconstruct.scene.light import stated
 from koala3d.reconstruct.scene.rays import Normalisation, Pixels
 from koala3d.reconstruct.training.decisions import (
     contraction,
@@ -59,7 +60,7 @@ def decided(
         matches: between training views; None: not wanted.
     """
     views = scene.split("train")
-    light, lamps = decided_light(views, pixels, normalisation, possible, config, (scene.light_frame, scene.light_axis))
+    light, lamps = decided_light(views, pixels, normalisation, possible, config, stated(scene))
     if light.moves:
         hint(f"lamps move about the object, light.frame={light.kind}: {lamps.evidence}")
     telling = reflection.in_question(config) and normalisation.bounded and not light.moves

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.scene import View
 from koala3d.reconstruct.config import Config
-from koala3d.reconstruct.scene.light import STILL, Frame, LightFrame
+from koala3d.reconstruct.scene.light import STILL, Frame, LightFrame, Vector, room_of
 from koala3d.reconstruct.scene.rays import Normalisation, Pixels
 from koala3d.reconstruct.scene.turntable import Turning, turning
 from koala3d.reconstruct.training.decisions.evidence import explained
@@ -20,9 +20,8 @@ AGREEING, ON_RINGS = 0.1, 0.9
 """Shares of pairs of views, and of views, from which cameras could have stood before a turntable."""
 
 Decision = tuple[LightFrame, Skip]
-Vector = tuple[float, float, float]
 Stated = tuple[Frame | None, Vector | None]
-"""A scene's `light_frame` and `light_axis`."""
+"""As `reconstruct.scene.light.stated` has it."""
 
 
 def decided_light(
@@ -78,11 +77,12 @@ def _frame(
     kind: Frame, turned: Turning | None, views: tuple[View, ...], normalisation: Normalisation, given: Vector | None
 ) -> LightFrame:
     axis = given or (None if turned is None else turned.axis)
-    if kind == "camera":
+    if kind in ("camera", "room"):
         axis = (0.0, 0.0, 1.0)
     if axis is None or not np.linalg.norm(axis):
         why, remedy = "no two views differ by a rotation", "give the axis as light.axis"
         raise UsageError("a turntable's axis is not known", where="light.frame=turntable", why=why, remedy=remedy)
     x, y, z = (np.asarray(axis) / np.linalg.norm(axis)).tolist()
     positions = np.stack([view.world_from_camera[:3, 3] for view in views]) - normalisation.centre
-    return LightFrame(kind, (x, y, z), float(np.median(np.linalg.norm(positions, axis=-1)) * normalisation.scale))
+    distance = float(np.median(np.linalg.norm(positions, axis=-1)) * normalisation.scale)
+    return LightFrame(kind, (x, y, z), distance, room_of(views) if kind == "room" else ())

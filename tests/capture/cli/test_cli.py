@@ -19,6 +19,7 @@ from koala3d.capture.model.arm import load_arm
 from koala3d.capture.model.kinematics import forward
 from koala3d.capture.model.rig import load_rig
 from koala3d.capture.sim.controller.handle import ControllerHandle
+from koala3d.capture.sim.laboratory.scenes import stage
 from koala3d.datasets.core import files
 from koala3d.datasets.imaging import images
 from koala3d.datasets.recording import Recording
@@ -59,6 +60,19 @@ def test_records_a_session_and_refuses_to_overwrite_it(capture, session, tmp_pat
     assert sorted(poses["base_from_camera"]) == [frame.name for frame in recording.frames]
     again = capture("run", session, "--out", tmp_path / "rec")
     assert (again.returncode, again.stderr.count("\n")) == (2, 1) and "already exists" in again.stderr
+
+
+def test_an_object_that_was_turned_over_is_another_session(capture, session, tmp_path):
+    """The recording says so, and the simulation has turned it: what was on the table is seen from above."""
+    done = capture("run", session, "--scene", "mug", "--pose", "under", "--out", tmp_path / "under")
+    assert done.returncode == 0, done.stderr
+    assert Recording.open(tmp_path / "under").pose == "under"
+    surface = trimesh.load_mesh(tmp_path / "under" / "truth" / "object.ply")
+    upright = stage("mug", centre=(0.4, 0, 0.1), size=(0.2, 0.2, 0.2), seed=0).mesh()
+    assert surface.volume == pytest.approx(upright.volume, rel=1e-3)
+    assert surface.bounds[0, 2] == pytest.approx(0, abs=1e-6) and not np.allclose(surface.bounds, upright.bounds, atol=5e-3)
+    done = capture("run", session, "--scene", "mug", "--out", tmp_path / "under", "--resume")
+    assert done.returncode == 2 and "was taken with another pose" in done.stderr
 
 
 HANGING = """\

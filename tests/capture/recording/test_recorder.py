@@ -204,6 +204,9 @@ def test_another_session_cannot_resume_here(trajectory, rig, views, tmp_path):
     other = Rig(rig.robot, rig.camera, rig.description, rig.name, rig.ground_truth, {"scene": "gold_head", "seed": 1})
     with pytest.raises(UsageError, match="another seed"):
         record(trajectory, other, tmp_path / "rec", resume=True, planned=views)
+    turned = Rig(rig.robot, rig.camera, rig.description, rig.name, rig.ground_truth, {**rig.extra, "pose": "under"})
+    with pytest.raises(UsageError, match=r"another pose"):
+        record(trajectory, turned, tmp_path / "rec", resume=True, planned=views)
 
 
 def test_a_recording_is_resumed_more_slowly(trajectory, rig, views, tmp_path):

@@ -4,13 +4,15 @@ import pytest
 from koala3d.capture.sim.laboratory import textures
 from koala3d.capture.sim.laboratory.materials import Glass, Matt, Metal
 from koala3d.capture.sim.laboratory.scenes import SCENES, check_name, stage
+from koala3d.datasets import pose
 from koala3d.datasets.core.errors import KoalaError, UsageError
+from koala3d.datasets.process.world.similarity import between
 
 CENTRE, SIZE = np.array([0.45, 0.02, 0.15]), np.array([0.26, 0.26, 0.30])
 
 
 @pytest.mark.parametrize(
-    ("name", "material"), [("gold_head", "Au"), ("shiny_ball", "Ag"), ("lidar_guts", "Al"), ("crystal_capture", "")]
+    ("name", "material"), [("gold_head", "Au"), ("shiny_ball", "Ag"), ("lidar_guts", "Al"), ("crystal_capture", ""), ("mug", "")]
 )
 def test_object_stands_on_the_table_inside_its_volume(name, material):
     found = stage(name, centre=CENTRE, size=SIZE, seed=0)
@@ -51,6 +53,24 @@ def test_made_of_many_parts_that_follow_the_seed(name):
     for item in first.items[: first.parts]:
         if isinstance(item.material, Glass):
             assert item.mesh.is_watertight and item.mesh.volume > 0, item.name  # light must find the way out again
+
+
+@pytest.mark.parametrize("name", ["gold_head", "lidar_guts", "crystal_capture", "mug"])
+def test_turned_over_it_is_the_same_object_on_the_same_table(name):
+    """About 180 degrees (160 to 200) about an axis at most 20 degrees from level: what was up is at most 40 degrees from down."""
+    upright, under, again = (stage(name, centre=CENTRE, size=SIZE, seed=3, pose=lying) for lying in ("upright", "under", "under"))
+    known, moved = upright.mesh(), under.mesh()
+    found = between(known.vertices, moved.vertices)
+    np.testing.assert_allclose(found.points(known.vertices), moved.vertices, atol=1e-9)
+    assert found.scale == pytest.approx(1)
+    angle = np.rad2deg(pose.rotation_angle(pose.rigid(found.rotation, [0, 0, 0])))
+    assert 160 <= angle <= 180 and found.rotation[2, 2] < np.cos(np.deg2rad(120))
+    assert moved.bounds[0, 2] == pytest.approx(0, abs=1e-9)
+    assert np.abs((moved.bounds.sum(0) / 2 - CENTRE)[:2]).max() <= 0.02 + 1e-9
+    assert np.array_equal(again.mesh().vertices, moved.vertices)
+    for one, other in zip(upright.items[upright.parts :], under.items[under.parts :], strict=True):
+        assert np.array_equal(one.mesh.vertices, other.mesh.vertices), one.name
+    assert np.array_equal(upright.room, under.room)
 
 
 def test_unknown_scene_names_the_nearest():

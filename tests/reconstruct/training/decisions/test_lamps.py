@@ -1,6 +1,8 @@
 """Where the lamps of a painted matte ball stand, from its pictures; what a training keeps of it; and that pictures use it."""
 
-from dataclasses import replace
+import json
+from collections.abc import Callable
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -16,11 +18,12 @@ from koala3d.datasets.imaging import images
 from koala3d.datasets.scene import Scene, View
 from koala3d.reconstruct.config import Config
 from koala3d.reconstruct.field.appearance import Reflection
+from koala3d.reconstruct.field.lit import Lit
 from koala3d.reconstruct.models import merged_config
 from koala3d.reconstruct.output.trained_model import TrainedModel
 from koala3d.reconstruct.run import Run
 from koala3d.reconstruct.sampling.create import sampler_type
-from koala3d.reconstruct.scene.light import STILL, LightFrame
+from koala3d.reconstruct.scene.light import STILL, LightFrame, stated
 from koala3d.reconstruct.scene.rays import Normalisation, Pixels
 from koala3d.reconstruct.training.decisions.evidence.explained import monomials
 from koala3d.reconstruct.training.decisions.lamps import decided_light
@@ -67,7 +70,7 @@ def decided(scene: Scene, config: Config):
     views, normalisation = scene.split("train"), Normalisation.of(scene)
     pixels = Pixels.load(views, normalisation, 1.0, Quiet())
     possible = sampler_type(config.sampler).possible_cells(config, pixels, views, normalisation, (0.0, 0.0))
-    return decided_light(views, pixels, normalisation, possible, config, (scene.light_frame, scene.light_axis))
+    return decided_light(views, pixels, normalisation, possible, config, stated(scene))
 
 
 @pytest.fixture(scope="module")
@@ -100,16 +103,44 @@ def test_what_a_person_says_counts(turntable: Scene, small_config: Config) -> No
 
 
 def test_what_the_scene_says_counts_less_than_a_person_and_more_than_pictures(turntable: Scene, small_config: Config) -> None:
-    stated = replace(turntable, light_frame="turntable", light_axis=(0.0, 0.6, 0.8))
-    found, skip = decided(stated, small_config)
-    assert (found.kind, found.axis) == ("turntable", (0.0, 0.6, 0.8)) and skip.evidence == "stated by the scene: turntable"
-    found, skip = decided(replace(stated, background="scene"), small_config)  # without masks too
+    known = placed(turntable, lambda index: Rotation.from_rotvec([0, 0, 0.4 - 2 * np.pi * index / PER_RING]))
+    found, skip = decided(known, small_config)
+    assert found.kind == "turntable" and skip.evidence == "stated by the scene: turntable"
+    np.testing.assert_allclose(found.axis, [0, 0, 1], atol=1e-9)
+    found, skip = decided(replace(known, background="scene"), small_config)  # without masks too
     assert found.kind == "turntable"
-    found, skip = decided(replace(turntable, light_frame="world"), small_config)
-    assert found == STILL and skip.evidence == "stated by the scene"
-    assert decided(stated, merged_config(small_config, {"light": {"frame": "world"}}))[0] == STILL
-    said = merged_config(small_config, {"light": {"axis": [0, 0, 1]}})
-    assert decided(stated, said)[0].axis == (0.0, 0.0, 1.0)
+    for still in (replace(turntable, lamps="object"), placed(turntable, lambda index: Rotation.identity())):
+        found, skip = decided(still, small_config)
+        assert found == STILL and skip.evidence == "stated by the scene"
+    assert decided(known, merged_config(small_config, {"light": {"frame": "world"}}))[0] == STILL
+    said = merged_config(small_config, {"light": {"axis": [0, 0.6, 0.8]}})
+    assert decided(known, said)[0].axis == (0.0, 0.6, 0.8)
+
+
+def placed(scene: Scene, turned: Callable[[int], Rotation]) -> Scene:
+    """The scene in a room, with the object turned so in view `index`."""
+    poses = [pose.rigid(turned(index).as_matrix(), np.ones(3)) for index in range(len(scene.views))]
+    views = tuple(replace(view, base_from_world=one) for view, one in zip(scene.views, poses, strict=True))
+    return replace(scene.with_views(views), lamps="room")
+
+
+def test_an_object_that_was_turned_over_is_in_a_room(turntable: Scene, small_config: Config) -> None:
+    """Two ways to lie, before cameras all around: no turntable. Each view has its own light, any other camera its neighbour's."""
+    over = Rotation.from_rotvec([2.9, 0.4, 0])
+    known = placed(turntable, lambda index: Rotation.identity() if index < PER_RING else over)
+    found, skip = decided(known, small_config)
+    assert found.kind == "room" and found.moves and not found.near and skip.evidence == "stated by the scene: room"
+    assert LightFrame.from_json(json.loads(json.dumps(asdict(found)))) == found
+    turned = found.of_views(known.split("train"))
+    other = found.of_views(tuple(replace(view, base_from_world=None) for view in known.split("test")))
+    assert turned is not None and other is not None
+    lower, upper = (np.broadcast_to(one.as_matrix(), (3, 3)) for one in (Rotation.identity(), over))
+    for rotation, view in zip([*turned, *other], [*known.split("train"), *known.split("test")], strict=True):
+        np.testing.assert_allclose(rotation, lower if int(view.name) < PER_RING else upper, atol=1e-6)
+    lit = Lit.towards(found, jnp.asarray(np.stack([view.world_from_camera[:3, 2] for view in known.views], 1), jnp.float32))
+    assert lit is not None
+    np.testing.assert_allclose(lit.rotation[0], lower, atol=1e-6)
+    np.testing.assert_allclose(lit.rotation[-1], upper, atol=1e-6)
 
 
 def test_nothing_is_claimed_without_evidence(turntable: Scene, small_config: Config) -> None:

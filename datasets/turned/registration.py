@@ -1,0 +1,125 @@
+"""How an object was moved between two sessions: found by its outlines, with the deviation of what is found, or refused."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from koala3d.datasets import pose
+from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.core.progress import Step, ignore
+from koala3d.datasets.scene import Scene
+from koala3d.datasets.turned.outlines import Outlines, outlines_of
+from koala3d.datasets.turned.search import STARTS, found, rotations, turned_by
+from koala3d.datasets.turned.tangency import Fit, Pairs
+
+Array = NDArray[np.float64]
+SAME_TURN, SAME_SHIFT = np.deg2rad(5.0), 0.1
+"""An object lies as before where it was turned by less, and its middle moved by less of its radius."""
+FITS = 3.0
+"""Misfit of outlines that belong to one object, at most [px]: masks that err by 1.5 px have half of it."""
+RIVAL, FLOOR = 1.5, 0.5
+"""Another motion that fits not even so many times worse cannot be told from the best; below this misfit [px] they are equal."""
+NEARBY = np.deg2rad(25.0)
+"""Turns about each axis from which the search also starts, if a person says roughly how the object was moved."""
+LOOSE = np.deg2rad(1.0)
+"""Deviation of a turn from which it counts as not found."""
+
+
+@dataclass(frozen=True, eq=False)
+class Registration:
+    """The motion between the worlds of two sessions."""
+
+    a_from_b: Array
+    """(4, 4) takes what session b calls a place of the object to what session a calls it."""
+    middle: Array
+    """(3,) of the object, in a."""
+    covariance: Array
+    """(6, 6) of the error: shift of the middle [world unit^2] first, then turn about it [rad^2], along the axes of a. Of what masks
+    that err independently of one another do: what the calibration has wrong for all views alike is not in it."""
+    misfit: float
+    """How far the outlines disagree [px of the masks as they were read]; root mean square."""
+
+    @property
+    def deviations(self) -> tuple[float, float]:
+        """Standard deviations over all axes: shift of the middle [world unit], and turn [rad]."""
+        return float(np.sqrt(np.trace(self.covariance[:3, :3]))), float(np.sqrt(np.trace(self.covariance[3:, 3:])))
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain dictionary."""
+        arrays = {"a_from_b": self.a_from_b, "middle": self.middle, "covariance": self.covariance}
+        return {**{name: value.tolist() for name, value in arrays.items()}, "misfit_px": self.misfit}
+
+
+def require_sessions(a: Scene, b: Scene) -> None:
+    """Raise UsageError unless these can be two sessions of one object that was turned over in between."""
+    both = f"{a.name}, {b.name}"
+    poses = [scene.provenance.get("pose") for scene in (a, b)]
+    if poses[0] is not None and poses[0] == poses[1]:
+        remedy = "record the second session with 'capture run --pose under'; views of one pose are merged without --turned"
+        raise UsageError("both sessions are of the same pose", where=both, why=f"'{poses[0]}'", remedy=remedy)
+    sums = [scene.provenance.get("calibration_sha256") for scene in (a, b)]
+    if None not in sums and sums[0] != sums[1]:
+        remedy = "build both scenes with one calibration"
+        raise UsageError("scenes have different calibrations", where=both, remedy=remedy)
+    if a.metric != b.metric:
+        metric = a.name if a.metric else b.name
+        raise UsageError("scenes differ in unit", where=both, why=f"only {metric} is in metres", remedy="see 'datasets edit'")
+
+
+def registered(a: Scene, b: Scene, start: Array | None = None, *, done: Step = ignore) -> Registration:
+    """How the object was moved from session b to session a.
+
+    Args:
+        start: roughly how, as a person says: a (3, 3) rotation or a (4, 4) motion; None: it is looked for.
+        done: called after each start of the search, see `starts_of`.
+
+    Raises UsageError: the sessions do not fit together, masks are missing, no motion fits, or several fit equally well.
+    """
+    require_sessions(a, b)
+    of_a, of_b = outlines_of(a), outlines_of(b)
+    fits = found(of_a, of_b, starts_of(start), done=done)
+    best, pairs, both = fits[0], Pairs(of_a, of_b), f"{a.name}, {b.name}"
+    if not best.misfit <= FITS:
+        why = (
+            f"in the best pose they miss one another by {best.misfit:.1f} px" if np.isfinite(best.misfit) else "too few are seen"
+        )
+        remedy = "look whether both scenes show the same object, and at their masks ('datasets mask --page')"
+        raise UsageError("outlines of the two scenes fit in no pose", where=both, why=why, remedy=remedy)
+    rivals = [fit for fit in fits[1:] if fit.misfit < RIVAL * max(best.misfit, FLOOR)]
+    covariance = None if rivals else pairs.covariance(best.a_from_b)
+    if covariance is None or np.sqrt(np.trace(covariance[3:, 3:])) > LOOSE:
+        raise UsageError("how the object was turned cannot be told", where=both, why=_ambiguity(best, rivals), remedy=_ADVICE)
+    _require_moved(best, of_a, of_b, both)
+    return Registration(best.a_from_b, of_a.middle, covariance, best.misfit)
+
+
+_ADVICE = "choose one with --points or --rough, or fix something to the object that shows at its outline"
+
+
+def starts_of(start: Array | None) -> list[Array]:
+    """Where the search begins: everywhere, or near what a person says."""
+    if start is None:
+        return list(rotations(STARTS))
+    turns = np.concatenate([np.zeros((1, 3)), NEARBY * np.eye(3), -NEARBY * np.eye(3)])
+    starts = [Rotation.from_rotvec(turn).as_matrix() @ start[:3, :3] for turn in turns]
+    return [start if not number else one for number, one in enumerate(starts)]
+
+
+def _ambiguity(best: Fit, rivals: list[Fit]) -> str:
+    if not rivals:
+        return "its outlines hardly change as it turns about an axis"
+    turns = sorted(np.rad2deg([turned_by(fit, best) for fit in rivals]))
+    angles = ", ".join(f"{turn:.0f}" for turn in turns[:4]) + (" ..." if len(turns) > 4 else "")
+    return f"its outlines look the same in {len(rivals) + 1} poses or more, turned against one another by {angles} degrees"
+
+
+def _require_moved(fit: Fit, a: Outlines, b: Outlines, both: str) -> None:
+    """Raise UsageError where the object lies as it did: then these are two recordings of one pose."""
+    turn = float(pose.rotation_angle(fit.a_from_b))
+    shift = float(np.linalg.norm(a.middle - b.middle))
+    if turn < SAME_TURN and shift < SAME_SHIFT * a.extent:
+        why = f"it was turned by {np.rad2deg(turn):.1f} degrees"
+        raise UsageError("object lies in both scenes as it did", where=both, why=why, remedy="merge them without --turned")

@@ -1,0 +1,73 @@
+"""All motions on which two sessions' outlines agree, looked for from everywhere."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from koala3d.datasets import pose
+from koala3d.datasets.core.progress import Step, ignore
+from koala3d.datasets.turned.outlines import Outlines
+from koala3d.datasets.turned.tangency import Fit, Pairs
+
+Array = NDArray[np.float64]
+STARTS = 300
+"""Rotations from which the search starts: 99 of 100 others are within 29 degrees of one of them, and from 30 degrees away the
+objects of the simulated laboratory are nearly always found."""
+ROUNDS = ((8, 20, 5, 24), (14, 48, 10, 6))
+"""Of each round but the last: views and corners that are compared, steps, and how many of the motions go on."""
+MOST = 30
+"""Steps of the last round, with all that there is."""
+APART = np.deg2rad(4.0)
+"""Motions whose turns differ by less are one."""
+
+
+def rotations(count: int) -> Array:
+    """(count, 3, 3) rotations, evenly spread: the super-Fibonacci spirals of Alexa (CVPR 2022)."""
+    index = np.arange(count) + 0.5
+    share, first, second = index / count, 2 * np.pi * index / np.sqrt(2), 2 * np.pi * index / 1.533751168755204288118041
+    inner, outer = np.sqrt(share), np.sqrt(1 - share)
+    quaternions = [inner * np.sin(first), inner * np.cos(first), outer * np.sin(second), outer * np.cos(second)]
+    return np.asarray(Rotation.from_quat(np.stack(quaternions, -1)).as_matrix(), np.float64)
+
+
+def found(a: Outlines, b: Outlines, starts: Sequence[Array], *, done: Step = ignore) -> list[Fit]:
+    """The motions a_from_b that fit best, each once, the best first.
+
+    Args:
+        starts: (3, 3) rotations, or (4, 4) motions. A rotation starts with the outlines' middles on each other.
+        done: called after each start.
+    """
+    motions = [_with_middles(a, b, start) for start in starts]
+    for number, (views, corners, steps, kept) in enumerate(ROUNDS):
+        pairs, fits = Pairs(a.some(views, corners), b.some(views, corners)), []
+        for motion in motions:
+            fits.append(pairs.refined(motion, steps))
+            if not number:
+                done()
+        motions = [fit.a_from_b for fit in _different(fits)[:kept]]
+    whole = Pairs(a, b)
+    return _different([whole.refined(motion, MOST) for motion in motions])
+
+
+def _with_middles(a: Outlines, b: Outlines, start: Array) -> Array:
+    return start if start.shape == (4, 4) else pose.rigid(start, a.middle - start @ b.middle)
+
+
+def _different(fits: Sequence[Fit]) -> list[Fit]:
+    """The fits by quality, without those that turn as a better one does."""
+    ordered, kept = sorted(fits, key=lambda fit: fit.misfit), list[Fit]()
+    turns = np.stack([fit.a_from_b[:3, :3] for fit in ordered])
+    apart = np.einsum("aij,bij->ab", turns, turns) < 1 + 2 * np.cos(APART)  # the trace of a rotation by an angle
+    left = np.ones(len(ordered), bool)
+    for index, fit in enumerate(ordered):
+        if left[index]:
+            kept.append(fit)
+            left &= apart[index]
+    return kept
+
+
+def turned_by(fit: Fit, other: Fit) -> float:
+    """Angle between two motions' turns [rad]."""
+    return float(pose.rotation_angle(pose.inverse(other.a_from_b) @ fit.a_from_b))

@@ -1,0 +1,167 @@
+"""How well two sessions' outlines agree on a motion of the object: planes through two cameras that touch it in one touch it in both.
+
+A plane through the centres of two cameras is seen as a line by both. If it touches the object, its line touches both outlines
+(the epipolar tangency constraint: Porrill and Pollard 1991; for sets of silhouettes Forbes, Nicolls, de Jager and Voigt 2006).
+Each pair of a view of one session and a view of the other has two such planes, one on either side: their angles about the line
+through the cameras, as either outline tells them, must be the same. Times the object's distance from that line the difference
+is a length. Only the convex hull counts, and a border that masks move outwards or inwards everywhere moves both angles alike.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from koala3d.datasets import pose
+from koala3d.datasets.turned.outlines import Outlines
+
+Array = NDArray[np.float64]
+ASIDE = 0.05
+"""A ray leaves the line through the cameras by an angle of this sine at least; else the object is on the line."""
+AWAY = 0.2
+"""Distance of the object's middle from that line, in radii of the object, from which a pair is used."""
+FEWEST_PAIRS = 0.1
+"""Share of the pairs that must be usable."""
+CLIPPED = 8.0
+"""Differences count as so many pixels at most: a mask may be wrong altogether, and a handle is seen by few pairs."""
+OUTLIER = 2.0
+"""Differences of so many standard deviations count half (the weights of Cauchy's distribution)."""
+LONGEST = 0.3
+"""Largest turn of one step [rad]: angles of tangents bend beyond."""
+STEPS = np.array([1e-5] * 3 + [1e-4] * 3)
+"""For differences: lengths in radii of the object, and turns [rad]."""
+MAD = 1.4826
+"""Standard deviation by the median of absolute values, of the normal distribution."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A motion and how well the outlines agree on it."""
+
+    a_from_b: Array
+    """(4, 4)."""
+    misfit: float
+    """Root mean square of the differences, each clipped at `CLIPPED` pixels [pixel]; infinite where too few can be compared."""
+
+
+@dataclass(frozen=True, eq=False)
+class Planes:
+    """For (n, m) pairs of cameras and one or several motions: directions about the line through both, in the world of a."""
+
+    out: Array
+    """(..., n, m, 3) unit vectors from the line to the object's middle."""
+    up: Array
+    """(..., n, m, 3) unit vectors across the line and `out`."""
+    away: Array
+    """(..., n, m) distance of the object's middle from the line [world unit]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """All pairs of a view of session a and a view of session b."""
+
+    a: Outlines
+    b: Outlines
+
+    def _planes(self, a_from_b: Array) -> Planes:
+        centres = self.b.centres @ np.swapaxes(a_from_b[..., :3, :3], -1, -2) + a_from_b[..., None, :3, 3]
+        line = centres[..., None, :, :] - self.a.centres[:, None]
+        line = line / np.maximum(np.linalg.norm(line, axis=-1, keepdims=True), 1e-12)
+        out = self.a.middle - self.a.centres[:, None]
+        out = out - np.sum(out * line, -1, keepdims=True) * line
+        away = np.linalg.norm(out, axis=-1)
+        out = out / np.maximum(away, 1e-12)[..., None]
+        return Planes(out, np.cross(line, out), away)
+
+    def _touching(self, a_from_b: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """(n, m, 2, 3) rays of a, and of b in its own world, in the planes that touch; and the (n, m) pairs that have such."""
+        planes = self._planes(a_from_b)
+        of_a, good = _extremes(self.a.rays, planes.out, planes.up)
+        back = a_from_b[:3, :3]
+        of_b, other = _extremes(self.b.rays, np.swapaxes(planes.out @ back, 0, 1), np.swapaxes(planes.up @ back, 0, 1))
+        return of_a, np.swapaxes(of_b, 0, 1), good & other.T & (planes.away > AWAY * self.a.extent)
+
+    def _differences(self, a_from_b: Array, of_a: Array, of_b: Array) -> Array:
+        """(..., n, m, 2) differences [world unit] by (..., 4, 4) motions, of the planes of rays from `_touching`."""
+        planes = self._planes(a_from_b)
+        of_b = of_b @ np.swapaxes(a_from_b[..., None, None, :3, :3], -1, -2)
+        angles = [
+            np.arctan2(np.sum(rays * planes.up[..., None, :], -1), np.sum(rays * planes.out[..., None, :], -1))
+            for rays in (of_a, of_b)
+        ]
+        return (angles[0] - angles[1]) * planes.away[..., None]
+
+    def differences(self, a_from_b: Array) -> Array:
+        """(k,) differences of the tangent planes that both cameras of a pair tell [world unit]."""
+        of_a, of_b, usable = self._touching(a_from_b)
+        return self._differences(a_from_b, of_a, of_b)[usable].ravel()
+
+    def moved(self, a_from_b: Array, by: Array) -> Array:
+        """The motion and then a small one, or several: (..., 6) a shift, and a turn about the middle of a."""
+        turn = Rotation.from_rotvec(by[..., 3:]).as_matrix()
+        place = turn @ (a_from_b[:3, 3] - self.a.middle) + self.a.middle + by[..., :3]
+        return pose.rigid(turn @ a_from_b[:3, :3], place)
+
+    def linear(self, a_from_b: Array) -> tuple[Array, Array, Array]:
+        """(n, m, 2) differences, their (n, m, 2) weights and (n, m, 2, 6) derivatives after `moved`.
+
+        Which rays touch changes from motion to motion, but the derivatives are as if it did not: an angle is extreme at them.
+        """
+        of_a, of_b, usable = self._touching(a_from_b)
+        found = self._differences(a_from_b, of_a, of_b)
+        ahead = self.moved(a_from_b, np.diag(self._steps))
+        slopes = np.moveaxis(self._differences(ahead, of_a, of_b) - found, 0, -1) / self._steps
+        scale = OUTLIER * max(spread(found[usable].ravel()), 1e-9 * self.a.extent)
+        return found, usable[..., None] / (1 + (found / scale) ** 2), slopes
+
+    @property
+    def _steps(self) -> Array:
+        return STEPS * np.array([self.a.extent] * 3 + [1.0] * 3)
+
+    def refined(self, a_from_b: Array, most: int) -> Fit:
+        """The motion on which the outlines agree best, from one nearby, by at most so many steps of Gauss and Newton."""
+        for _ in range(most):
+            found, weights, slopes = self.linear(a_from_b)
+            normal = np.einsum("nms,nmsk,nmsl->kl", weights, slopes, slopes, optimize=True)
+            pull = np.einsum("nms,nmsk,nms->k", weights, slopes, found, optimize=True)
+            by = -np.linalg.lstsq(normal + 1e-6 * np.diag(np.diag(normal)), pull, rcond=1e-12)[0]
+            by *= min(1.0, LONGEST / max(float(np.linalg.norm(by[3:])), 1e-12))
+            a_from_b = self.moved(a_from_b, by)
+            if (np.abs(by) < 0.1 * self._steps).all():
+                break
+        return Fit(a_from_b, self.misfit(a_from_b))
+
+    def misfit(self, a_from_b: Array) -> float:
+        """See `Fit`."""
+        found = self.differences(a_from_b) / self.a.pixel
+        if found.size < FEWEST_PAIRS * 2 * len(self.a.centres) * len(self.b.centres):
+            return np.inf
+        return float(np.sqrt(np.mean(np.minimum(np.abs(found), CLIPPED) ** 2)))
+
+    def covariance(self, a_from_b: Array) -> Array:
+        """(6, 6) of the error of a refined motion, as `moved` takes it: shift [world unit^2], then turn.
+
+        A mask that is wrong pulls all pairs of its view, so it is not pairs that err by themselves but views: the sum over the
+        views of both sessions of the square of what each of them pulls (Cameron, Gelbach and Miller 2011).
+        """
+        found, weights, slopes = self.linear(a_from_b)
+        normal = np.einsum("nms,nmsk,nmsl->kl", weights, slopes, slopes, optimize=True)
+        pulls = (weights * found)[..., None] * slopes
+        by = [np.linalg.solve(normal, pulls.sum(axes).T) for axes in ((1, 2), (0, 2))]
+        return sum((one @ one.T * one.shape[1] / max(one.shape[1] - 6, 1) for one in by), np.zeros((6, 6)))
+
+
+def spread(values: Array) -> float:
+    """Robust standard deviation of values about zero; infinite of none."""
+    return MAD * float(np.median(np.abs(values))) if values.size else np.inf
+
+
+def _extremes(rays: Array, out: Array, up: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """(n, m, 2, 3) of (n, k, 3) rays, those at the largest and the smallest angle from (n, m, 3) `out` towards `up`; and whether
+    all rays are on the side of `out`. Where they are, tangents rise with angles."""
+    columns = np.swapaxes(rays, 1, 2)
+    along = out @ columns
+    tangents = up @ columns / np.maximum(along, 1e-12)
+    which = np.stack([tangents.argmax(-1), tangents.argmin(-1)], -1)
+    return rays[np.arange(len(rays))[:, None, None], which], along.min(-1) > ASIDE
