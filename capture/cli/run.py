@@ -116,7 +116,6 @@ def run(
     from koala3d.capture.rig.naming import scene_for
     from koala3d.capture.sessions.adaptive.loop import CoverageGoal
     from koala3d.capture.sessions.start import SessionOptions
-    from koala3d.datasets.core.errors import KoalaError
     from koala3d.datasets.core.files import refuse_existing
     from koala3d.datasets.reports import rerun_file
     from koala3d.datasets.scene import checked_name
@@ -139,10 +138,16 @@ def run(
             chosen = adaptive and _chosen(session, out, goal, options, calibration)
             found, text = chosen or _every(session, out, options, port if view else None)
     except KeyboardInterrupt:
-        how = "by Ctrl-C or from the page" if view else "by Ctrl-C"
-        remedy = f"the same command with --resume continues in {out}" if out.exists() else "nothing was written"
-        raise KoalaError(f"stopped {how}, the arm stands still", where=out, remedy=remedy) from None
+        raise _stopped(out, "by Ctrl-C or from the page" if view else "by Ctrl-C") from None
     console.report(found, as_json=as_json, text=text)
+
+
+def _stopped(out: Path, how: str) -> Exception:
+    """What a person is told who stopped a recording."""
+    from koala3d.datasets.core.errors import KoalaError
+
+    remedy = f"the same command with --resume continues in {out}" if out.exists() else "nothing was written"
+    return KoalaError(f"stopped {how}, the arm stands still", where=out, remedy=remedy)
 
 
 def _require_out(out: Path | None, dry_run: bool, others: dict[str, bool]) -> None:

@@ -15,7 +15,7 @@ from koala3d.datasets import pose
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.kinematics import Links, link_frames
-from koala3d.datasets.urdf import TURNING, Joint, joints_by_child
+from koala3d.datasets.bags.joints import TURNING, Joint, joints_by_child
 
 Array = NDArray[np.float64]
 PARALLEL = 1e-9  # sine of the angle between two axes that count as parallel

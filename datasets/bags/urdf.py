@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from koala3d.datasets import pose
 from koala3d.datasets.bags.frames import Edge, Tree, edge_of
-from koala3d.datasets.urdf import SLIDING, TURNING, Joint, joints_by_child
+from koala3d.datasets.bags.joints import SLIDING, TURNING, Joint, joints_by_child
 
 
 def tree_of(text: str, states: Iterable[tuple[int, Any]], *, where: object) -> Tree:

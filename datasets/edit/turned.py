@@ -20,7 +20,7 @@ MARGIN = 0.02
 
 
 def by_points(places: ArrayLike) -> NDArray[np.float64]:
-    """(4, 4) motion by (n, 6) places of at least three points of the object, in a and in b. Raises UsageError where it cannot be."""
+    """(4, 4) motion by (n, 6) places of at least three points of the object, in a and in b. Raises UsageError if there is none."""
     points = np.asarray(places, np.float64)
     if points.ndim != 2 or points.shape[1] != 6 or len(points) < 3 or not np.isfinite(points).all():
         raise UsageError("points are not three rows of six numbers", why=f"shape {points.shape}", remedy="x y z in a, x y z in b")
@@ -47,8 +47,9 @@ def joined(a: Scene, b: Scene, found: Registration, name: str) -> Scene:
     names = [view.name for view in both.views[len(a.views) :]]
     turned: dict[str, Any] = {**found.to_json(), "views": names}
     shift, turn = found.deviations
+    angle = np.rad2deg(pose.rotation_angle(found.a_from_b))
     said = (
-        f"{b.name} shows the object turned over, by {np.rad2deg(pose.rotation_angle(found.a_from_b)):.1f} degrees; that is known to "
+        f"{b.name} shows the object turned over, by {angle:.1f} degrees; that is known to "
         f"{1e3 * shift:.2g} {'mm' if a.metric else 'thousandths of a unit'} and {np.rad2deg(turn):.2g} degrees"
     )
     hull = visual_hull(silhouettes(both.views), a.box)

@@ -37,8 +37,9 @@ class Registration:
     middle: Array
     """(3,) of the object, in a."""
     covariance: Array
-    """(6, 6) of the error: shift of the middle [world unit^2] first, then turn about it [rad^2], along the axes of a. Of what masks
-    that err independently of one another do: what the calibration has wrong for all views alike is not in it."""
+    """(6, 6) of the error: shift of the middle [world unit^2] first, then turn about it [rad^2], along the axes of a.
+
+    Masks are taken to err independently of one another: what the calibration has wrong for all views alike is not in it."""
     misfit: float
     """How far the outlines disagree [px of the masks as they were read]; root mean square."""
 

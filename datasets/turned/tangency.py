@@ -1,4 +1,4 @@
-"""How well two sessions' outlines agree on a motion of the object: planes through two cameras that touch it in one touch it in both.
+"""How well outlines of two sessions agree on a motion of the object: planes through two cameras that touch it in one do in both.
 
 A plane through the centres of two cameras is seen as a line by both. If it touches the object, its line touches both outlines
 (the epipolar tangency constraint: Porrill and Pollard 1991; for sets of silhouettes Forbes, Nicolls, de Jager and Voigt 2006).

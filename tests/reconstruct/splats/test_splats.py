@@ -45,7 +45,7 @@ class Turned(Ball):
 @pytest.fixture
 def turned(ball: TrainedModel) -> TrainedModel:
     field = ball.model.field
-    solid = Turned(field.encoding, field.spatial, field.appearance, field.density_bias, field.deferred, radius=field.radius)
+    solid = Turned(**{name: getattr(field, name) for name in field.__dataclass_fields__})
     return replace(ball, model=replace(ball.model, field=solid))
 
 
