@@ -56,7 +56,7 @@ class FieldConfig(Schema):
     )
     matter: Literal["fog", "solid"] = setting(
         "fog",
-        "Light is lost along the way through it, or where its density rises; a solid begins as the masks' hull, if any.",
+        "Light is lost along the way through it, or where its density rises; a solid begins as the hull of the masks.",
     )
     density_bias: float = setting(0.5, "Added to the raw density before the exponential, of a density that begins as fog.")
 

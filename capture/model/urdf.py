@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koala3d.datasets import pose
+from koala3d.datasets.bags.joints import TURNING, Joint, joints_by_child
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.kinematics import Links, link_frames
-from koala3d.datasets.bags.joints import TURNING, Joint, joints_by_child
 
 Array = NDArray[np.float64]
 PARALLEL = 1e-9  # sine of the angle between two axes that count as parallel

@@ -20,7 +20,7 @@ MARGIN = 0.02
 
 
 def by_points(places: ArrayLike) -> NDArray[np.float64]:
-    """(4, 4) motion by (n, 6) places of at least three points of the object, in a and in b. Raises UsageError if there is none."""
+    """(4, 4) motion by (n, 6) places of at least three points of the object, in a and in b. UsageError if there is none."""
     points = np.asarray(places, np.float64)
     if points.ndim != 2 or points.shape[1] != 6 or len(points) < 3 or not np.isfinite(points).all():
         raise UsageError("points are not three rows of six numbers", why=f"shape {points.shape}", remedy="x y z in a, x y z in b")

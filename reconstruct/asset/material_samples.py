@@ -116,7 +116,7 @@ def _composited(
     count = start.shape[1]
     density = density.reshape(count, STEPS)
     before = jnp.pad(density[:, :-1], ((0, 0), (1, 0)))
-    weights = volume_weights(optical_depth(density, before, jnp.broadcast_to(step, density.shape), field.solid))
+    weights = volume_weights(optical_depth(density, before, jnp.broadcast_to(step, density.shape), solid=field.solid))
     opacity = jnp.sum(weights, -1)
     stacked = material.stacked()
     mean = jnp.sum(stacked.reshape(stacked.shape[0], count, STEPS) * weights, -1) / jnp.maximum(opacity, 1e-6)

@@ -7,7 +7,6 @@ Points, directions and channels come first: (3, n), (channels, n).
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from koala3d.reconstruct.config import EncodingConfig, FieldConfig
@@ -28,9 +27,7 @@ class Field(eqx.Module):
     spatial: Mlp
     appearance: Appearance
     outline: Outline | None
-    """What the density begins with; None: thin fog."""
-    solid: Float[Array, ""] | None
-    """How far light is lost where the density rises, and not along the way; see `volume.optical_depth`."""
+    """What the density of a solid begins with; None: a fog."""
     density_bias: float = eqx.field(static=True)
     deferred: bool = eqx.field(static=True)
     """Whether a ray is shaded once, on its composited material, or at each of its samples."""
@@ -44,14 +41,12 @@ class Field(eqx.Module):
         *,
         start: Start | None = None,
         outline: Outline | None = None,
-        masked: bool = False,
     ) -> "Field":
         """Fresh weights for the given sizes.
 
         Args:
             start: where the object is, for appearances that begin differently around it.
             outline: what the density begins with; None: thin fog.
-            masked: whether the outline is that of masks: it begins solid.
         """
         encoding_key, spatial_key, view_key = jax.random.split(key, 3)
         encoded = create_encoding(encoding_key, encoding)
@@ -64,8 +59,12 @@ class Field(eqx.Module):
             outputs=1 + appearance.heads + field.bottleneck,
             skip=field.spatial_skip,
         )
-        solid = jnp.asarray(float(outline is not None and masked)) if field.matter == "solid" else None
-        return cls(encoded, spatial, appearance, outline, solid, field.density_bias, field.shading == "deferred")
+        return cls(encoded, spatial, appearance, outline, field.density_bias, field.shading == "deferred")
+
+    @property
+    def solid(self) -> bool:
+        """Whether light is lost where the density rises, and not along the way; see `volume.optical_depth`."""
+        return self.outline is not None
 
     def density(self, cloud: Cloud) -> Float[Array, " n"]:
         """Density alone [1 / scene unit]."""

@@ -13,7 +13,7 @@ SURFACE = 1 / 64
 
 
 def optical_depth(
-    density: Float[Array, "*n"], before: Float[Array, "*n"], lengths: Float[Array, "*n"], solid: Float[Array, ""] | None = None
+    density: Float[Array, "*n"], before: Float[Array, "*n"], lengths: Float[Array, "*n"], *, solid: bool
 ) -> Float[Array, "*n"]:
     """How much light is lost on the way to each sample of a ray, as an exponent in [0, OPAQUE].
 
@@ -30,13 +30,11 @@ def optical_depth(
         density: at least 0 [1 / scene unit].
         before: that of the sample in front; 0 in front of the first.
         lengths: of the samples' intervals, at least 0 [scene unit]; nothing is lost at samples without length.
-        solid: 0 is a fog, 1 a solid; between them depths are mixed. None: a fog.
+        solid: whether light is lost where the density rises.
     """
-    along = jnp.minimum(density * lengths, OPAQUE)
-    if solid is None:
-        return along
-    rise = jnp.where(lengths > 0, jnp.minimum(SURFACE * jnp.maximum(density - before, 0.0), OPAQUE), 0.0)
-    return along + solid * (rise - along)
+    if not solid:
+        return jnp.minimum(density * lengths, OPAQUE)
+    return jnp.where(lengths > 0, jnp.minimum(SURFACE * jnp.maximum(density - before, 0.0), OPAQUE), 0.0)
 
 
 def volume_weights(depth: Float[Array, "rays samples"]) -> Float[Array, "rays samples"]:

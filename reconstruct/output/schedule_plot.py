@@ -16,7 +16,7 @@ def drawn(config: Config) -> str:
     schedule, losses = Schedule(config), config.losses
     curves = {"learning rate": schedule.rate, "blur of samples": schedule.blur}
     if config.field.matter == "solid":
-        curves |= {"freedom of the shape": schedule.gain} if "blank" in config.kinds else {"solid": schedule.solid}
+        curves["freedom of the shape"] = schedule.gain
     if losses.hollowness:
         curves["hollowness"] = schedule.hollowness
     if losses.fog:

@@ -24,16 +24,16 @@ def packed_depth(
     """
     before = jnp.where(samples.slot > 0, jnp.roll(density, 1), 0.0)
     lengths = samples.length * speed.at[samples.ray].get(mode="promise_in_bounds")
-    return optical_depth(density, before, lengths, field.solid)
+    return optical_depth(density, before, lengths, solid=field.solid)
 
 
-def lost_at(t: Float[Array, "*n"], before: Float[Array, "*n"], solid: Float[Array, ""] | None) -> Float[Array, "*n"]:
+def lost_at(t: Float[Array, "*n"], before: Float[Array, "*n"], *, solid: bool) -> Float[Array, "*n"]:
     """t at which a sample's light is lost: in a fog around the sample, on a solid between it and the one in front.
 
     Args:
         before: t of the sample in front; that of the sample itself in front of which there is none.
     """
-    return t if solid is None else t - solid * (t - before) / 2
+    return (t + before) / 2 if solid else t
 
 
 def composited(

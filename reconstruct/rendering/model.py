@@ -25,7 +25,7 @@ from koala3d.reconstruct.sampling.samples import RaySamples
 from koala3d.reconstruct.scene.facts import SceneFacts
 from koala3d.reconstruct.scene.rays import Rays
 
-HELD = ("blur", "grid", "outline", "solid")
+HELD = ("blur", "grid", "outline")
 """Names of the parts of a model that no gradient goes to: they follow a schedule, what a training meets, or masks."""
 
 
@@ -57,8 +57,8 @@ class Model(eqx.Module):
         """
         field_key = jax.random.split(key, 1 + len(config.sampler.proposal_finest))[0]
         start = Start(facts.towards, facts.light, Parallax.of(config.light))
-        outline = Outline.of(hull) if config.field.matter == "solid" and facts.normalisation.bounded else None
-        field = Field.create(field_key, config.encoding, config.field, start=start, outline=outline, masked=hull is not None)
+        outline = Outline.of(hull) if config.field.matter == "solid" else None
+        field = Field.create(field_key, config.encoding, config.field, start=start, outline=outline)
         sampler = create(key, config, facts, possible, config.field.density_bias)
         gains = first_gains(config, facts, views)
         poses = jnp.zeros((views, 6)) if config.poses.enabled is True else None
@@ -74,14 +74,11 @@ class Model(eqx.Module):
         """The same with every sample as wide as `blur` [scene unit]."""
         return eqx.tree_at(lambda m: m.field.encoding.blur, self, blur)
 
-    def shaped(self, gain: Float[Array, ""], solid: Float[Array, ""]) -> "Model":
-        """The same, at least as solid, and whose network adds at least so much to the outline that the density began with."""
-        model, field = self, self.field
-        if field.outline is not None:
-            model = eqx.tree_at(lambda m: m.field.outline.gain, model, jnp.maximum(field.outline.gain, gain))
-        if field.solid is not None:
-            model = eqx.tree_at(lambda m: m.field.solid, model, jnp.maximum(field.solid, solid))
-        return model
+    def freed(self, gain: Float[Array, ""]) -> "Model":
+        """The same whose network adds at least so much to the outline that the density began with."""
+        if self.field.outline is None:
+            return self
+        return eqx.tree_at(lambda m: m.field.outline.gain, self, jnp.maximum(self.field.outline.gain, gain))
 
     def split(self) -> tuple["Model", "Model"]:
         """What is learned, and the rest (see `HELD`); `eqx.combine` joins them."""
@@ -142,7 +139,7 @@ def render(field: Field, rays: Rays, samples: RaySamples, cloud: Cloud) -> tuple
     depth = barrier(packed_depth(field, density, samples, rays.speed))
     values = values_of(field, material, rays, samples)
     before = jnp.where(samples.slot > 0, jnp.roll(samples.t, 1), samples.t)
-    weights, sums = barrier(composited(depth, values, replace(samples, t=lost_at(samples.t, before, field.solid))))
+    weights, sums = barrier(composited(depth, values, replace(samples, t=lost_at(samples.t, before, solid=field.solid))))
     return barrier((seen(field, rays, sums, weights), density))
 
 

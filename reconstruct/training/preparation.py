@@ -76,8 +76,7 @@ def prepare(
         config = sized(config, facts, pixels)
     config = Config.model_validate_json(distributed.decided_text(config.model_dump_json()))
     step = Step.of(config, facts)
-    masked = possible is not None and normalisation.bounded
-    hull = hull_distance(possible, pixels) if masked and config.field.matter == "solid" else None
+    hull = hull_distance(possible, pixels) if possible is not None and config.field.matter == "solid" else None
     state = step.initial(jax.random.key(config.train.seed), possible, len(views), hull)
     step = replace(step, division=Division.among(jax.devices(), state.model.sampler.divided_sizes))
     distributed.require_same((state, pixels), "scene")

@@ -9,7 +9,6 @@ those with a key):
     from 4 %        among surroundings the grid rules out cells (`grid_from`)
     8 to 18 %       solid objects are kept dense behind their surface
     10 to 20 %      corrections of poses begin to move
-    20 to 50 %      what began as fog becomes solid
     from 20 %       light lost in front of a surface counts
     from 40 %       among surroundings a ray's surface is where half the largest weight is (`share_from`)
     40 to 50 %      among surroundings the Lambertian bias of the object comes in (`bias_from`)
@@ -37,8 +36,6 @@ HOLLOWNESS_FROM = 0.08
 """The hollowness comes in from here on: early fog must not be made solid."""
 POSES_FROM = 0.1
 """Poses move from here on; their rate rises over `RISE`."""
-SOLID = (0.2, 0.5)
-"""What began as fog becomes solid between these: a uniform fog has no rise to begin with."""
 FOLLOWING = (0.4, 0.8)
 """The density follows predicted normals ever more strongly between these: the reflection shows late that they are right."""
 POSE_RATE, LAST_POSE_RATE = 2.0, 0.1
@@ -71,10 +68,6 @@ class Schedule:
     def gain(self, progress: Progress) -> Float[Array, ""]:
         """Factor on the raw density, if the shape begins as the masks' hull."""
         return between(progress, first=0.0, last=GAIN, over=FREED)
-
-    def solid(self, progress: Progress) -> Float[Array, ""]:
-        """How far light is lost where the density rises, if the shape did not begin solid."""
-        return between(progress, first=0.0, last=1.0, over=SOLID)
 
     def hollowness(self, progress: Progress) -> Float[Array, ""]:
         """Weight of the hollowness."""

@@ -110,9 +110,7 @@ class Step:
     def _blurred(self, model: Model, progress: Float[Array, ""]) -> Model:
         """The model as it is trained at this time."""
         blur, gain = self.schedule.blur(progress), self.schedule.gain(progress)
-        return model.blurred(blur.astype(jnp.float32)).shaped(
-            gain.astype(jnp.float32), self.schedule.solid(progress).astype(jnp.float32)
-        )
+        return model.blurred(blur.astype(jnp.float32)).freed(gain.astype(jnp.float32))
 
     def begun(
         self,

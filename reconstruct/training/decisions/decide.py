@@ -10,7 +10,7 @@ from koala3d.datasets.core.console import hint
 from koala3d.datasets.scene import Scene
 from koala3d.datasets.structure.matching import Matches
 from koala3d.reconstruct.config import Config, Kind
-from koala3d.reconstruct.models import of_kinds
+from koala3d.reconstruct.models import merged_config, of_kinds
 from koala3d.reconstruct.scene.facts import SceneFacts
 from koala3d.reconstruct.scene.light import stated
 from koala3d.reconstruct.scene.rays import Normalisation, Pixels
@@ -72,6 +72,8 @@ def decided(
     kinds: list[Kind] = ["blank" if normalisation.bounded else "surroundings"]
     kinds += [kind for kind, skip in (("unnamed", named), ("matte", shiny), ("painted", dark)) if skip.skipped]
     config, gain = exposure.decided(gains, of_kinds(config, kinds))
+    if config.field.matter == "solid" and (possible is None or not possible.any() or not normalisation.bounded):
+        config = merged_config(config, {"field": {"matter": "fog"}})  # there is no shape to begin with
     facts = replace(SceneFacts.of(scene, views, normalisation), light=light)
     if gains is not None and config.train.per_image != "none":
         facts = facts.with_gains(gains.log_gains_of(views))

@@ -70,7 +70,7 @@ def test_gradient_equals_differences_in_float64() -> None:
 def rises(density: jax.Array) -> jax.Array:
     """Optical depths of samples on rays through a solid."""
     before = jnp.pad(density[..., :-1], [(0, 0)] * (density.ndim - 1) + [(1, 0)])
-    return optical_depth(density, before, jnp.ones_like(density), jnp.ones(()))
+    return optical_depth(density, before, jnp.ones_like(density), solid=True)
 
 
 LEVEL = np.log(2) / SURFACE
@@ -99,8 +99,7 @@ def test_a_ray_that_touches_a_ball_loses_as_much_as_one_that_meets_it() -> None:
     assert left[0] < 0.05 and left[1] > 0.6  # on both halves of the way the former would have lost twice as much
 
 
-def test_between_a_fog_and_a_solid_depths_are_mixed() -> None:
+def test_nothing_is_lost_at_samples_without_length() -> None:
     density, before, lengths = jnp.asarray([3.0, 5.0, 5.0]), jnp.asarray([1.0, 6.0, 0.0]), jnp.asarray([0.5, 0.5, 0.0])
-    mixed = optical_depth(density, before, lengths, jnp.asarray(0.25))
-    np.testing.assert_allclose(mixed, [0.75 * 1.5 + 0.25 * 2 * SURFACE, 0.75 * 2.5, 0], rtol=1e-6)
-    np.testing.assert_allclose(optical_depth(density, before, lengths), [1.5, 2.5, 0], rtol=1e-6)
+    np.testing.assert_allclose(optical_depth(density, before, lengths, solid=True), [2 * SURFACE, 0, 0], rtol=1e-6)
+    np.testing.assert_allclose(optical_depth(density, before, lengths, solid=False), [1.5, 2.5, 0], rtol=1e-6)

@@ -50,9 +50,9 @@ def some_samples(footprint: Footprint) -> Sampled:
 
 def some_field(space: Space, shading: str, density: float = 0.0, solid: bool = False) -> Field:
     """With such a logarithm of its density added everywhere; a solid one is a ball, of which a network has been freed."""
-    config = small(changes={"field": {"shading": shading, "density_bias": 1.0, "matter": "solid" if solid else "fog"}})
+    config = small(changes={"field": {"shading": shading, "density_bias": 1.0}})
     outline = Outline.of(ROUND) if solid else None
-    made = drawn.filled(lambda: Field.create(jax.random.key(0), config.encoding, config.field, outline=outline, masked=solid))
+    made = drawn.filled(lambda: Field.create(jax.random.key(0), config.encoding, config.field, outline=outline))
     if solid:
         made = eqx.tree_at(lambda field: field.outline.gain, made, drawn.array(np.array(2.0)))
     bias = np.array(made.spatial.biases[-1])
@@ -73,7 +73,7 @@ def all_at_once(field: Field, rays: Rays, found: Sampled, space: Space) -> jax.A
     depth = found.samples.padded(packed_depth(field, density, found.samples, rays.speed))
     weights = found.samples.packed(volume_weights(depth))
     t = found.samples.t
-    t = lost_at(t, jnp.where(found.samples.slot > 0, jnp.roll(t, 1), t), field.solid)
+    t = lost_at(t, jnp.where(found.samples.slot > 0, jnp.roll(t, 1), t), solid=field.solid)
     channels = jnp.concatenate([jnp.stack([jnp.ones_like(t), t]), *values_of(field, material, rays, found.samples), normals])
     return composite(channels, weights, found.samples)
 
@@ -98,7 +98,7 @@ def test_a_surface_bit_by_bit(places: int) -> None:
     given = some_field(BOX, "deferred", solid=True), some_rays(), some_samples(Footprint())
     ours, every = np.asarray(bit_by_bit(*given, COUNT, BOX, places)), np.asarray(all_at_once(*given, BOX))
     assert 0.1 < np.mean(every[:, 0] > 0.9) < 0.9, "some rays meet it"
-    np.testing.assert_allclose(ours, every, rtol=2e-5, atol=1.1e-3 * np.abs(every).max())  # what is behind 0.1 % is left out
+    np.testing.assert_allclose(ours, every, rtol=2e-5, atol=4.1e-3)  # what is behind 0.1 % is left out, at t up to 4
 
 
 @pytest.mark.parametrize("footprint", [Footprint("gaussian"), Footprint("hexagon", drawn.array(np.linspace(0, 3, COUNT)))])
