@@ -204,7 +204,7 @@ def make_run(ball_scene: tuple[Scene, Path], small_config: Config, tmp_path: Pat
 def painted(ball: TrainedModel) -> TrainedModel:
     """The ball with a painted surface."""
     field = ball.model.field
-    solid = Painted(field.encoding, field.spatial, field.appearance, field.density_bias, field.deferred, radius=field.radius)
+    solid = Painted(**{name: getattr(field, name) for name in field.__dataclass_fields__})
     return replace(ball, model=replace(ball.model, field=solid))
 
 

@@ -100,7 +100,8 @@ def test_the_rig_of_a_recording_is_in_its_manifest() -> None:
 
 def test_the_simulated_rig_has_the_truth_and_its_seed(koala: Trajectory) -> None:
     with open_rig("sim", koala, scene="shiny_ball", seed=3, time_scale=50) as rig:
-        assert rig.ground_truth is rig.camera and rig.extra == {"scene": "shiny_ball", "seed": 3} and rig.name == "sim"
+        assert rig.ground_truth is rig.camera and rig.name == "sim"
+        assert rig.extra == {"scene": "shiny_ball", "seed": 3, "pose": "upright"}
         assert rig.camera.description()["simulated"] and rig.robot.description()["model"]
         np.testing.assert_array_equal(rig.flange_from_camera, RigDescription().flange_from_camera.matrix())
 

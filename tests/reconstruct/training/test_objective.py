@@ -60,7 +60,7 @@ class HalfSpace(Field):
 
 def half_space(appearance: str = "reflection") -> HalfSpace:
     field = Model.create(jax.random.key(0), load_config(overrides=[*SMALL, f"field.appearance={appearance}"]), FACTS).field
-    return HalfSpace(field.encoding, field.spatial, field.appearance, field.density_bias, field.deferred)
+    return HalfSpace(**{name: getattr(field, name) for name in field.__dataclass_fields__})
 
 
 @pytest.fixture
