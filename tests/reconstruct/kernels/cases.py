@@ -156,7 +156,7 @@ def compositing_case(rng: np.random.Generator, *, backward: bool) -> Case:
     slot = np.concatenate([*(np.arange(one) for one in kept), np.full(spare + 1, slots - 1)]).astype(np.int32)
     valid = (np.arange(count) < kept.sum()).astype(np.uint8)
     widths = rng.integers(1, 5, rng.integers(0, 4))
-    given = [ray, slot, odd(rng, count), odd(rng, count), valid, odd(rng, num_rays), odd(rng, count)]
+    given = [ray, slot, odd(rng, count), valid, odd(rng, count)]
     given += [odd(rng, width, count) for width in widths]
     sums, chunks = (2 + int(widths.sum()), num_rays), (num_rays + rays.RAYS - 1) // rays.RAYS
     results = [(num_rays, slots), sums]
