@@ -9,7 +9,7 @@ Each row is a test view: the photograph, the model, the asset in Mitsuba, and th
 import base64
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
@@ -95,18 +95,37 @@ def main() -> None:
             one, camera = shown(trained, stage, view, paths=PATHS, seed=0), trained.camera(view)
             place = pose.inverse(stored.base_from_asset) @ view.world_from_camera
             pictures = [one.photograph, one.model, one.asset, by_three(page, camera, place)]
-            rows.append(np.concatenate([np.pad(p, ((0, GAP), (0, GAP), (0, 0)), constant_values=1.0) for p in pictures], 1))
+            rows.append(beside_each_other(pictures))
     images.write(out, np.concatenate(rows)[:-GAP, :-GAP])
     console.hint(str(out))
+
+
+def beside_each_other(pictures: Sequence[Picture]) -> Picture:
+    """A row of pictures, with a gap behind and below each."""
+    return np.concatenate([np.pad(p, ((0, GAP), (0, GAP), (0, 0)), constant_values=1.0) for p in pictures], 1)
 
 
 @contextmanager
 def viewer(asset: Path, light: Path, three: Path) -> Iterator[Any]:
     """A browser that has loaded the asset and its light."""
-    with TemporaryDirectory() as folder, chromium() as browser:
-        for name, path in {"asset.glb": asset, "light.exr": light, "three": three}.items():
+    served = {"asset.glb": asset, "light.exr": light, "three": three}
+    with chromium() as browser, window(browser, PAGE, served, "three.js cannot show the asset", where=asset) as page:
+        yield page
+
+
+@contextmanager
+def window(browser: Any, content: str, served: dict[str, Path], failure: str, *, where: Path) -> Iterator[Any]:
+    """A window with a page whose `ready` says that it is loaded.
+
+    Args:
+        content: the page.
+        served: files and folders beside it, by name.
+        failure: what went wrong if it is not, of the file `where`.
+    """
+    with TemporaryDirectory() as folder:
+        for name, path in served.items():
             (Path(folder) / name).symlink_to(path.resolve())
-        (Path(folder) / "index.html").write_text(PAGE)
+        (Path(folder) / "index.html").write_text(content)
         server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=folder))
         threading.Thread(target=server.serve_forever, daemon=True).start()
         try:
@@ -115,7 +134,7 @@ def viewer(asset: Path, light: Path, three: Path) -> Iterator[Any]:
             page.goto(f"http://127.0.0.1:{server.server_port}/index.html")
             page.wait_for_function("window.ready")
             if (said := page.evaluate("window.ready")) != "loaded":
-                raise KoalaError("three.js cannot show the asset", where=asset, why=said)
+                raise KoalaError(failure, where=where, why=said)
             yield page
         finally:
             server.shutdown()

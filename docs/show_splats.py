@@ -7,22 +7,17 @@ a test view: photograph, model, viewer. NODE_MODULES is the folder that `npm ins
 """
 
 import sys
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
-from functools import partial
-from http.server import ThreadingHTTPServer
+from contextlib import AbstractContextManager
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from make_figures import PATIENCE_S, chromium, run_program
+from make_figures import chromium, run_program
 from numpy.typing import NDArray
-from show_asset import GAP, VIEWS, Quiet, by_three
+from show_asset import GAP, VIEWS, beside_each_other, by_three, window
 
 from koala3d.datasets.core import console
-from koala3d.datasets.core.errors import KoalaError, UsageError
+from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.imaging import images
 from koala3d.datasets.scene import View
 from koala3d.reconstruct.output import metrics
@@ -85,8 +80,7 @@ def main() -> None:
             photograph, pictures, found = compared(trained, view, page)
             measured.append(found)
             if view in chosen:
-                shown = [photograph, *pictures]
-                rows.append(np.concatenate([np.pad(p, ((0, GAP), (0, GAP), (0, 0)), constant_values=1.0) for p in shown], 1))
+                rows.append(beside_each_other([photograph, *pictures]))
             bar.advance()
     images.write(out, np.concatenate(rows)[:-GAP, :-GAP])
     for name in measured[0]:
@@ -107,25 +101,10 @@ def compared(trained: TrainedModel, view: View, page: Any) -> tuple[Picture, tup
     return truth["rgb"], pictures, found
 
 
-@contextmanager
-def viewer(browser: Any, splats: Path, node: Path) -> Iterator[Any]:
+def viewer(browser: Any, splats: Path, node: Path) -> AbstractContextManager[Any]:
     """A window that has loaded the splats."""
-    with TemporaryDirectory() as folder:
-        for name, path in {f"splats{splats.suffix}": splats, "node": node}.items():
-            (Path(folder) / name).symlink_to(path.resolve())
-        (Path(folder) / "index.html").write_text(PAGE.replace(".SUFFIX", splats.suffix))
-        server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=folder))
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        try:
-            page = browser.new_page()
-            page.set_default_timeout(1e3 * PATIENCE_S)
-            page.goto(f"http://127.0.0.1:{server.server_port}/index.html")
-            page.wait_for_function("window.ready")
-            if (said := page.evaluate("window.ready")) != "loaded":
-                raise KoalaError("Spark cannot show the splats", where=splats, why=said)
-            yield page
-        finally:
-            server.shutdown()
+    content, served = PAGE.replace(".SUFFIX", splats.suffix), {f"splats{splats.suffix}": splats, "node": node}
+    return window(browser, content, served, "Spark cannot show the splats", where=splats)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ import os
 import shutil
 import stat
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -100,6 +100,14 @@ def make_folder(path: Path) -> None:
     path.mkdir(parents=True, exist_ok=True)
     for folder in reversed(new):
         flush(folder.parent)
+
+
+def required_suffix(path: Path, what: str, suffixes: Iterable[str]) -> str:
+    """The suffix of a file to write, in lower case. Raises UsageError if it is none of those in which `what` is written."""
+    found = path.suffix.lower()
+    if found not in (known := list(suffixes)):
+        raise UsageError(f"{what} are not written as '{path.suffix}'", where=path, remedy=f"end --out in {', '.join(known)}")
+    return found
 
 
 def refuse_existing(path: Path) -> None:

@@ -158,14 +158,10 @@ def mesh(
     as_json: console.Json = False,
 ) -> None:
     """Extract the object's surface as a coloured mesh or point cloud in world coordinates."""
-    from koala3d.datasets.core.errors import UsageError
-    from koala3d.datasets.core.files import refuse_existing
+    from koala3d.datasets.core.files import refuse_existing, required_suffix
     from koala3d.reconstruct.output.mesh import extraction, files
 
-    suffixes = files.SUFFIXES if points is None else (".ply",)
-    if out.suffix.lower() not in suffixes:
-        kind = "meshes" if points is None else "points"
-        raise UsageError(f"{kind} are not written as '{out.suffix}'", where=out, remedy=f"end --out in {', '.join(suffixes)}")
+    required_suffix(out, *(("meshes", files.SUFFIXES) if points is None else ("points", (".ply",))))
     refuse_existing(out)
     trained = opened(run)
     surface = extraction.extract(

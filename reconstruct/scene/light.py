@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from koala3d.datasets import pose
 from koala3d.datasets.scene import Scene, View
 from koala3d.datasets.turntable import before_turntable
 from koala3d.reconstruct.scene.turntable import turning
@@ -122,5 +123,4 @@ def stated(scene: Scene) -> tuple[Frame | None, Vector | None]:
 
 def _spread(rotations: Float[np.ndarray, "n 3 3"]) -> float:
     """Largest angle from the first of them [rad]."""
-    cosines = (np.einsum("nij,ij->n", rotations, rotations[0]) - 1) / 2
-    return float(np.arccos(np.clip(cosines, -1, 1)).max())
+    return float(pose.rotation_angle(rotations[0].T @ rotations).max())

@@ -74,6 +74,11 @@ def solved(
     return np.linalg.solve(matrix, right.astype(np.float64)).astype(np.float32)
 
 
+def even(coefficients: Float[np.ndarray, "n functions 3"]) -> Float[np.ndarray, "n 3"]:
+    """sRGB of n splats in the mean of all directions, for programs that show one colour."""
+    return np.clip(coefficients[:, 0] * FIRST + BIAS, 0, 1)
+
+
 def colour(coefficients: Float[np.ndarray, "n functions 3"], directions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
     """sRGB of n splats, each seen along its own direction, as viewers show it."""
     return np.clip(np.einsum("nf,nfc->nc", basis(directions), coefficients) + BIAS, 0, 1)

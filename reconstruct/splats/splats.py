@@ -12,8 +12,6 @@ from koala3d.reconstruct.output.trained_model import TrainedModel
 from koala3d.reconstruct.splats.colours import coefficients
 from koala3d.reconstruct.splats.surfels import cover
 
-COUNT = 100_000
-"""Default largest number of splats."""
 OPACITY = 0.99
 """Of each splat at its middle."""
 
@@ -36,7 +34,7 @@ class Splats:
     """What files keep of their origin."""
 
 
-def make(trained: TrainedModel, *, count: int = COUNT, stands_on: str | None = None) -> Splats:
+def make(trained: TrainedModel, *, count: int, stands_on: str | None = None) -> Splats:
     """At most `count` splats of a trained run's surface.
 
     Args:

@@ -15,10 +15,10 @@ CANDIDATES = 6  # points drawn at random for each that is kept
 APART = 0.8
 """Smallest distance of two points times the square root of their number per area: the most that a random order can hold."""
 NEIGHBOURS = 6
-WIDTH = (
-    0.65  # standard deviation in the surface, as a share of the mean distance to the nearest points: 1 % of light gets through
-)
-FLATNESS = 0.1  # standard deviation along the normal, as a share of that
+WIDTH = 0.65
+"""Standard deviation in the surface, as a share of the mean distance to the nearest points: 1 % of light gets through."""
+FLATNESS = 0.1
+"""Standard deviation along the normal, as a share of that."""
 
 
 @dataclass(frozen=True)

@@ -204,7 +204,7 @@ def make_run(ball_scene: tuple[Scene, Path], small_config: Config, tmp_path: Pat
 def painted(ball: TrainedModel) -> TrainedModel:
     """The ball with a painted surface."""
     field = ball.model.field
-    solid = Painted(**{name: getattr(field, name) for name in field.__dataclass_fields__})
+    solid = Painted(**vars(field))
     return replace(ball, model=replace(ball.model, field=solid))
 
 
@@ -231,8 +231,7 @@ def ball(ball_scene: tuple[Scene, Path], make_run: Callable[..., Run], renderer:
     radius = RADIUS * run.normalisation.scale
     occupancy = Occupancy.create(0, grid=grid, outer_grid=8, space=BOX, steps=32, possible=np.abs(distance - radius) < 3 / grid)
     field = model.field
-    parts = {name: getattr(field, name) for name in field.__dataclass_fields__}
-    solid = Ball(**parts, radius=radius)
+    solid = Ball(**vars(field), radius=radius)
     model = replace(model, field=solid, sampler=replace(model.sampler, grid=occupancy))
     assert run.normalisation.bounded and run.normalisation == renderer.normalisation
     return TrainedModel(run, ball_scene[0], model, 0, renderer)

@@ -61,7 +61,7 @@ class Nosed(Ball):
 def nosed(ball: TrainedModel) -> TrainedModel:
     """In place of a trained model."""
     field, grid = ball.model.field, ball.run.config.sampler.grid
-    solid = Nosed(**{name: getattr(field, name) for name in field.__dataclass_fields__})
+    solid = Nosed(**vars(field))
     axis = (np.arange(grid) + 0.5) / grid * 2 - 1
     centres = np.stack(np.meshgrid(axis, axis, axis, indexing="ij")).reshape(3, -1)
     possible = np.abs(np.asarray(solid.places(jnp.asarray(centres, jnp.float32))[0])) < 3 / grid

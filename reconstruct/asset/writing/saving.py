@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.core import files
 from koala3d.reconstruct.asset.asset import Asset
 from koala3d.reconstruct.asset.writing import glb, obj, usd
 
@@ -20,10 +20,7 @@ WRITERS: dict[str, Callable[[Asset, Path], None]] = {
 
 def writer(path: Path) -> Callable[[Asset, Path], None]:
     """Writes the format that a suffix names. Raises UsageError: none."""
-    found = WRITERS.get(path.suffix.lower())
-    if found is None:
-        raise UsageError(f"assets are not written as '{path.suffix}'", where=path, remedy=f"end --out in {', '.join(WRITERS)}")
-    return found
+    return WRITERS[files.required_suffix(path, "assets", WRITERS)]
 
 
 def summary(asset: Asset) -> tuple[dict[str, Any], str]:

@@ -26,7 +26,7 @@ KINDS = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 def save(splats: Splats, path: Path) -> None:
     """Write splats as FILE.glb."""
     values = splats.coefficients
-    plain = linear_from_srgb(np.clip(values[:, 0] * harmonics.FIRST + harmonics.BIAS, 0, 1))
+    plain = linear_from_srgb(harmonics.even(values))
     arrays = {
         "POSITION": splats.points,
         "COLOR_0": np.concatenate([plain, splats.opacities[:, None]], -1),

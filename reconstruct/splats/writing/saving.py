@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.core import files
 from koala3d.reconstruct.splats.splats import Splats
 from koala3d.reconstruct.splats.writing import gltf, ply, spz, usd
 
@@ -18,10 +18,7 @@ WRITERS: dict[str, Callable[[Splats, Path], None]] = {
 
 def writer(path: Path) -> Callable[[Splats, Path], None]:
     """Writes the format that a suffix names. Raises UsageError: none."""
-    found = WRITERS.get(path.suffix.lower())
-    if found is None:
-        raise UsageError(f"splats are not written as '{path.suffix}'", where=path, remedy=f"end --out in {', '.join(WRITERS)}")
-    return found
+    return WRITERS[files.required_suffix(path, "splats", WRITERS)]
 
 
 def summary(splats: Splats) -> tuple[dict[str, Any], str]:

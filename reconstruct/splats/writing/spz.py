@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from koala3d.datasets.core import files
+from koala3d.reconstruct.splats import harmonics
 from koala3d.reconstruct.splats.splats import Splats
 
 MAGIC, VERSION = b"NGSP", 3
@@ -24,9 +25,8 @@ def save(splats: Splats, path: Path) -> None:
     """Write splats as FILE.spz."""
     reach = float(np.abs(splats.points).max())
     bits = int(np.clip(np.floor(np.log2((2**23 - 1) / max(reach, 1e-9))), 0, 24))  # of a position's fraction
-    degree = round(np.sqrt(splats.coefficients.shape[1])) - 1
     parts = [
-        MAGIC + struct.pack("<IIBBBB", VERSION, len(splats.points), degree, bits, 0, 0),
+        MAGIC + struct.pack("<IIBBBB", VERSION, len(splats.points), harmonics.DEGREE, bits, 0, 0),
         _fixed(splats.points, bits).tobytes(),
         _byte(255 * splats.opacities).tobytes(),
         _byte(255 * (COLOUR * splats.coefficients[:, 0] + 0.5)).tobytes(),

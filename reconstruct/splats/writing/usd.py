@@ -32,15 +32,14 @@ def save(splats: Splats, path: Path) -> None:
             "orientations": Vt.QuatfArray.FromNumpy(_floats(np.roll(splats.quaternions, -1, -1))),
             "scales": Vt.Vec3fArray.FromNumpy(_floats(splats.scales)),
             "opacities": Vt.FloatArray.FromNumpy(_floats(splats.opacities)),
-            "radiance:sphericalHarmonicsDegree": round(np.sqrt(splats.coefficients.shape[1])) - 1,
+            "radiance:sphericalHarmonicsDegree": harmonics.DEGREE,
             "radiance:sphericalHarmonicsCoefficients": Vt.Vec3fArray.FromNumpy(_floats(splats.coefficients.reshape(-1, 3))),
             "extent": Vt.Vec3fArray.FromNumpy(_floats(extent)),
         }
         for name, value in values.items():
             field.GetPrim().GetAttribute(name).Set(value)
-        colours = np.clip(splats.coefficients[:, 0] * harmonics.FIRST + harmonics.BIAS, 0, 1)
         UsdGeom.PrimvarsAPI(field).CreatePrimvar("displayColor", Sdf.ValueTypeNames.Color3fArray, UsdGeom.Tokens.vertex).Set(
-            Vt.Vec3fArray.FromNumpy(_floats(colours))
+            Vt.Vec3fArray.FromNumpy(_floats(harmonics.even(splats.coefficients)))
         )
         stage.GetRootLayer().Save()
 

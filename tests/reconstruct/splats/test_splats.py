@@ -45,7 +45,7 @@ class Turned(Ball):
 @pytest.fixture
 def turned(ball: TrainedModel) -> TrainedModel:
     field = ball.model.field
-    solid = Turned(**{name: getattr(field, name) for name in field.__dataclass_fields__})
+    solid = Turned(**vars(field))
     return replace(ball, model=replace(ball.model, field=solid))
 
 
@@ -105,4 +105,4 @@ def test_the_command_writes_them_in_the_base(
 def test_lamps_that_move_are_refused(ball: TrainedModel, monkeypatch: pytest.MonkeyPatch) -> None:
     run = replace(ball.run, facts=replace(ball.run.facts, light=LightFrame("camera", (0.0, 0.0, 1.0), 1.0)))
     with pytest.raises(UsageError, match="lamps move"):
-        splats.make(replace(ball, run=run))
+        splats.make(replace(ball, run=run), count=100)

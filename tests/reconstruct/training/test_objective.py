@@ -60,7 +60,7 @@ class HalfSpace(Field):
 
 def half_space(appearance: str = "reflection") -> HalfSpace:
     field = Model.create(jax.random.key(0), load_config(overrides=[*SMALL, f"field.appearance={appearance}"]), FACTS).field
-    return HalfSpace(**{name: getattr(field, name) for name in field.__dataclass_fields__})
+    return HalfSpace(**vars(field))
 
 
 @pytest.fixture
