@@ -67,7 +67,6 @@ LONG = (
     "tests/reconstruct/training/test_distributed.py",
     "tests/reconstruct/training/test_step.py",
     "tests/view/test_pages.py",
-    "tests/reconstruct/kernels/test_speed.py",
     "tests/docs/test_references.py",
 )
 """The slowest files run first, so that no worker is left with one at the end. The first compiles what others find again."""
