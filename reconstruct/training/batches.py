@@ -9,6 +9,7 @@ import jax
 import numpy as np
 from jaxtyping import PRNGKeyArray
 
+from koala3d.datasets.core.console import hint
 from koala3d.datasets.core.errors import UsageError
 from koala3d.reconstruct.numerics.compiling import barrier
 from koala3d.reconstruct.rendering.model import Model
@@ -42,6 +43,8 @@ class Division:
                 why=", ".join(map(str, sorted(set(sizes)))),
                 remedy="choose multiples, or another number of processes",
             )
+        if count < len(devices):
+            hint(f"{count} of {len(devices)} devices are used: more do not divide sampler.rays and sampler.samples evenly")
         return cls(None if count == 1 else jax.sharding.Mesh(np.array(devices[:count]), ("rays",)))
 
     @property

@@ -28,13 +28,13 @@ def scaled(config: Config, rays: int) -> Config:
     The linear scaling rule (Goyal et al. 2017), as in the paper. Second passes keep their number: their periods grow k-fold.
     """
     factor = config.sampler.rays / rays
-    train, surface = config.train, config.surface
+    train, surface, samples = config.train, config.surface, round(config.sampler.samples / factor)
 
     def period(steps: int) -> int:
         return max(1, 2 ** round(jnp.log2(steps * factor).item()))
 
     changed = {
-        "sampler": {"rays": rays},
+        "sampler": {"rays": rays, "samples": max(1, samples)},
         "surface": {
             "rays": max(1, round(surface.rays / factor)),
             "first_period": period(surface.first_period),

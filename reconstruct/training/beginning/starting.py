@@ -63,9 +63,10 @@ def start(
         state = _continued(state, start_from)
         about["from"] = str(start_from.path.resolve())
     _require_room(out, state)
-    record.write(out, prepared.skips)
+    skips = prepared.skips if start_from is None else record.read(start_from.path)  # its configuration is theirs already
+    record.write(out, skips)
     run = Run.create(out, config, scene_path, prepared.step.facts, about)
-    return _training(run, prepared, state, Clock(config.train.steps, budget_s), prepared.skips)
+    return _training(run, prepared, state, Clock(config.train.steps, budget_s), skips)
 
 
 def _continued(fresh: TrainState, run: Run) -> TrainState:

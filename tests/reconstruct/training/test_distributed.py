@@ -258,7 +258,7 @@ def test_a_port_that_is_taken_and_a_process_that_is_not_there_are_named(monkeypa
         distributed.join(f"127.0.0.1:{free_port()}", 2, 1)
 
 
-def test_devices_of_several_processes_must_divide_every_batch() -> None:
+def test_devices_of_several_processes_must_divide_every_batch(capsys: pytest.CaptureFixture[str]) -> None:
     class Device:
         def __init__(self, process_index: int) -> None:
             self.process_index = process_index
@@ -266,3 +266,4 @@ def test_devices_of_several_processes_must_divide_every_batch() -> None:
     with pytest.raises(UsageError, match="3 devices do not divide a batch evenly"):
         Division.among([Device(process) for process in range(3)], (2048, 8192))
     assert Division.among([Device(0)] * 3, (2048, 8192)).mesh is None, "one process leaves devices out"
+    assert "1 of 3 devices are used" in capsys.readouterr().err

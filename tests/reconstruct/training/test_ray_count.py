@@ -26,6 +26,9 @@ def test_the_linear_scaling_rule() -> None:
     assert (small.surface.first_period, small.surface.last_period, small.surface.rays) == (4096, 32, 8192)
     assert ray_count.scaled(small, config.sampler.rays) == config, "and back"
     assert Config.model_validate(small.model_dump()) == small
+    fast = load_config("surfnerf", "fast")
+    halved = ray_count.scaled(fast, fast.sampler.rays // 2)
+    assert halved.sampler.samples == fast.sampler.samples // 2, "its batch is a number of samples"
 
 
 def test_rays_are_halved_until_they_fit(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,6 +17,7 @@ from koala3d.reconstruct.models import changed, merged_config
 from koala3d.reconstruct.run import CHECKPOINTS, Run
 from koala3d.reconstruct.training.beginning.series import WEIGHTS, require_model
 from koala3d.reconstruct.training.beginning.starting import resumed, start
+from koala3d.reconstruct.training.decisions import record
 from koala3d.reconstruct.training.step import Step
 
 
@@ -56,6 +57,7 @@ def test_it_begins_with_the_weights_alone(ball_scene: tuple[Scene, Path], anothe
     assert int(training.state.step) == 0
     said = Run.open(tmp_path / "next").content[WEIGHTS]
     assert said == {"run": str(run.path), "step": 0, "scene": run.scene_path} and "from" not in training.run.content
+    assert record.read(tmp_path / "next") == record.read(run.path) != [], "nothing was decided anew"
 
 
 def test_one_that_was_killed_before_its_first_checkpoint_begins_with_them_again(
