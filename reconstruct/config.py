@@ -54,9 +54,10 @@ class FieldConfig(Schema):
     outward: float = setting(
         0.0, "Predicted normals start as those of a ball about the object: weight of the position in them.", ge=0
     )
-    matter: Literal["fog", "solid"] = setting(
+    matter: Literal["fog", "solid", "object"] = setting(
         "fog",
-        "Light is lost along the way through it, or where its density rises; a solid begins as the hull of the masks.",
+        "Light is lost along the way through a fog, in a solid where its density rises. `solid`: all that there is, which begins "
+        "as the hull of the masks; `object`: what is in the object's box, from the middle of the training on.",
     )
     density_bias: float = setting(0.5, "Added to the raw density before the exponential, of a density that begins as fog.")
 
@@ -146,8 +147,8 @@ class ScheduleConfig(Schema):
     grid_from: float = setting(0.0, "Occupancy: no cell is ruled out earlier.", ge=0, le=1)
     share_from: float = setting(
         1.0,
-        "From then on the first surface of a ray is its first sample of at least half the largest weight; before, the first "
-        "above the median weight (the paper's rule).",
+        "From then on, on ever more rays, the first surface is the first sample of at least half the largest weight; before, the "
+        "first above the median weight (the paper's rule). 0: on all rays from the start.",
         ge=0,
         le=1,
     )

@@ -10,6 +10,8 @@ from koala3d.reconstruct.sampling.samples import RaySamples
 
 HALF_WIDTH = float(np.sqrt(2 * np.log(2)))
 """Half-width at half-maximum of a Gaussian, in standard deviations."""
+GOLDEN = (np.sqrt(5) - 1) / 2
+"""Multiples of it, less their whole part, are spread evenly over [0, 1), however many there are."""
 LEAST_OPACITY = 0.5
 """Opacity above which a ray has a surface."""
 SHARE = 0.5
@@ -44,9 +46,10 @@ class Surfaces(eqx.Module):
         """Those of the first rays."""
         return jax.tree.map(lambda values: values[:count], self)
 
-    def solid_where(self, settled: Bool[Array, ""]) -> "Surfaces":
-        """With `solid` in place of `first` if the training has settled."""
-        chosen = jax.tree.map(lambda solid, first: jnp.where(settled, solid, first), self.solid, self.first)
+    def settled(self, share: Float[Array, ""]) -> "Surfaces":
+        """With `solid` in place of `first` on this share of the rays, which are spread evenly over all."""
+        those = jnp.arange(self.first.t.shape[0]) * GOLDEN % 1 < share
+        chosen = jax.tree.map(lambda solid, first: jnp.where(those, solid, first), self.solid, self.first)
         return Surfaces(chosen, self.solid)
 
 

@@ -84,7 +84,7 @@ class Objective:
         if not begins:
             return Surfaces(solid, solid)
         found = Surfaces(jax.lax.stop_gradient(by("median")), solid)
-        return found if begins == 1 else found.solid_where(self.schedule.by_share(progress))
+        return found if begins == 1 else found.settled(self.schedule.by_share(progress))
 
     def ray_terms(
         self, model: Model, rendered: Rendered, density: Float[Array, " n"], found: Sampled, progress: Float[Array, ""]

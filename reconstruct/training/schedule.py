@@ -5,12 +5,13 @@ those with a key):
 
     0 to 2 %        the learning rate rises (`warmup`), then it falls log-linearly to the end
     2 to 20 %       a shape that begins as the masks' hull is let go
+    20 to 50 %      an object among surroundings becomes solid
     0 to 80 %       the blur of samples shrinks (`blur_until`), and with it the finest levels come in
     from 4 %        among surroundings the grid rules out cells (`grid_from`)
     8 to 18 %       solid objects are kept dense behind their surface
     10 to 20 %      corrections of poses begin to move
     from 20 %       light lost in front of a surface counts
-    from 40 %       among surroundings a ray's surface is where half the largest weight is (`share_from`)
+    20 to 50 %      among surroundings ever more rays' surfaces are where half the largest weight is (`share_from`)
     40 to 50 %      among surroundings the Lambertian bias of the object comes in (`bias_from`)
     40 to 80 %      the density follows predicted normals ever more strongly
     throughout      second passes become more frequent, log-linearly (`surface.first_period`, `last_period`)
@@ -20,7 +21,7 @@ import math
 from dataclasses import dataclass
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from koala3d.reconstruct.config import Config
 
@@ -30,6 +31,10 @@ FOG_FROM = 0.2
 """Fog counts from here on: at the start there is nothing else."""
 FREED = (0.02, 0.2)
 """The network moves the shape ever more freely between these: sooner the light is not known, later gaps stay filled."""
+SETTLING = 0.3
+"""First surfaces change from the one rule to the other over this share of the training: all at once spoils what is learned."""
+SOLID = (0.2, 0.5)
+"""An object among surroundings becomes solid between these: sooner there is no shape yet."""
 GAIN = 4.0
 """What raw densities are multiplied by from then on: with 1, gaps stay filled."""
 HOLLOWNESS_FROM = 0.08
@@ -69,6 +74,10 @@ class Schedule:
         """Factor on the raw density, if the shape begins as the masks' hull."""
         return between(progress, first=0.0, last=GAIN, over=FREED)
 
+    def solidity(self, progress: Progress) -> Float[Array, ""]:
+        """How solid an object among surroundings is."""
+        return between(progress, first=0.0, last=1.0, over=SOLID)
+
     def hollowness(self, progress: Progress) -> Float[Array, ""]:
         """Weight of the hollowness."""
         return self.config.losses.hollowness * late(progress, start=HOLLOWNESS_FROM)
@@ -87,9 +96,10 @@ class Schedule:
         """Factor on the Lambertian bias of the object, in [0, 1]."""
         return late(progress, start=self.config.schedule.bias_from)
 
-    def by_share(self, progress: Progress) -> Bool[Array, ""]:
-        """Whether first surfaces are found by the share of the largest weight, and no longer by the median."""
-        return progress >= self.config.schedule.share_from
+    def by_share(self, progress: Progress) -> Float[Array, ""]:
+        """Share of the rays whose first surfaces are found by the share of the largest weight, and no longer by the median."""
+        begin = self.config.schedule.share_from
+        return between(progress, first=0.0, last=1.0, over=(begin, begin + SETTLING))
 
     def rules_out_cells(self, progress: float) -> bool:
         """Whether the occupancy grid may rule out cells."""

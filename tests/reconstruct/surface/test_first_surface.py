@@ -90,11 +90,13 @@ def test_surfaces_are_found_for_opaque_rays_alone_and_carry_no_gradient() -> Non
     np.testing.assert_array_equal(gradient, 0)
 
 
-def test_solid_surfaces_take_the_place_of_the_first_once_settled() -> None:
-    t, ones = drawn.array([2.0, 2.0]), drawn.array([1.0, 1.0])
-    first = Surface(drawn.array([0, 1], np.int32), t, ones, drawn.array([0.1, 0.1]))
-    both = Surfaces(first, Surface(first.ray, drawn.array([3.0, 3.0]), ones, first.radius))
-    choose = jax.jit(lambda both, settled: both.solid_where(settled).of_rays(1))
-    for settled, depth in ((False, 2.0), (True, 3.0)):
-        chosen = choose(both, settled)
-        assert (chosen.first.t.tolist(), chosen.solid.t.tolist()) == ([depth], [3.0])
+def test_solid_surfaces_take_the_place_of_the_first_ray_by_ray() -> None:
+    ones = np.ones(500, np.float32)
+    first = Surface(drawn.array(np.arange(500), np.int32), drawn.array(2 * ones), drawn.array(ones), drawn.array(0.1 * ones))
+    both = Surfaces(first, Surface(first.ray, drawn.array(3 * ones), first.weight, first.radius))
+    choose = jax.jit(lambda both, share: both.settled(share))
+    for share in (0.0, 0.3, 1.0):
+        chosen = choose(both, np.float32(share))
+        taken = np.asarray(chosen.first.t) == 3
+        assert [taken[part].mean() for part in (slice(250), slice(250, 500))] == pytest.approx([share] * 2, abs=0.02)
+        np.testing.assert_array_equal(chosen.solid.t, 3)
