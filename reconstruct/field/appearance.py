@@ -26,7 +26,7 @@ from koala3d.reconstruct.field.lit import Lit
 from koala3d.reconstruct.field.mlp import Mlp
 from koala3d.reconstruct.field.moving_lamps import MovingLamps
 from koala3d.reconstruct.field.parallax import Parallax
-from koala3d.reconstruct.numerics.safe import at_most_one, linear_from_srgb, normalise, srgb_from_linear
+from koala3d.reconstruct.numerics.safe import linear_from_srgb, normalise, srgb_from_linear
 from koala3d.reconstruct.scene.light import STILL, LightFrame
 
 VIEW_DEGREE = 4
@@ -280,5 +280,5 @@ def _view_network(key: PRNGKeyArray, channels: int, field: FieldConfig) -> Mlp:
 
 
 def _sum_of_parts(diffuse: Float[Array, "3 n"], specular: Float[Array, "3 n"]) -> Shading:
-    rgb = at_most_one(srgb_from_linear(diffuse + specular))
+    rgb = jnp.clip(srgb_from_linear(diffuse + specular), 0.0, 1.0)
     return Shading(rgb * 1.002 - 0.001, specular)

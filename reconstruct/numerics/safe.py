@@ -59,23 +59,6 @@ def srgb_from_linear(linear: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     return jnp.where(above, 1.055 * power - 0.055, 12.92 * linear)
 
 
-@jax.custom_vjp
-def at_most_one(x: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-    """min(x, 1); beyond one only a gradient that lowers x counts: what is brighter than white can become darker again."""
-    return jnp.minimum(x, 1.0)
-
-
-def _at_most_one_forward(x: Array) -> tuple[Array, Array]:
-    return jnp.minimum(x, 1.0), x > 1
-
-
-def _at_most_one_backward(beyond: Array, gradient: Array) -> tuple[Array]:
-    return (jnp.where(beyond, jnp.maximum(gradient, 0.0), gradient),)
-
-
-at_most_one.defvjp(_at_most_one_forward, _at_most_one_backward)
-
-
 def linear_from_srgb(srgb: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     """Inverse of `srgb_from_linear`, for values >= 0."""
     above = srgb > 0.04045

@@ -113,10 +113,10 @@ class Schedule:
 
 
 def learning_rate(progress: Float[Array, ""], *, rate: float, final_rate: float, warmup: float) -> Float[Array, ""]:
-    """Log-linear from `rate` to `final_rate`, rising as a sine from 1e-8 of it over the share `warmup` (Mip-NeRF 360's delay)."""
+    """Log-linear from `rate` to `final_rate`, rising log-linearly from 1e-8 of it over the share `warmup`."""
     decayed = jnp.exp(jnp.log(rate) + progress * (jnp.log(final_rate) - jnp.log(rate)))
     rise = jnp.clip(progress / warmup, 0, 1) if warmup > 0 else jnp.ones(())
-    return decayed * (1e-8 + (1 - 1e-8) * jnp.sin(jnp.pi / 2 * rise))
+    return decayed * jnp.exp((1 - rise) * jnp.log(1e-8))
 
 
 def late(progress: Float[Array, ""], *, start: float) -> Float[Array, ""]:

@@ -52,10 +52,9 @@ def _descend_chunk(frame, chunk):
             g = gradient[i]
             m = add_mean * g + keep_mean * mean[i]
             s = add_square * (g * g) + keep_square * square[i]
-            met = g != 0
-            mean[i] = m if met else mean[i]
-            square[i] = s if met else square[i]
-            parameter[i] -= rate * (m * of_mean / (sqrt(s * of_square) + smallest)) if met else f4(0)
+            mean[i] = m
+            square[i] = s
+            parameter[i] -= rate * (m * of_mean / (sqrt(s * of_square) + smallest))
 
 
 _address_of_descent = address_of(_descend_chunk, 2)
