@@ -113,16 +113,10 @@ def _picture(row: Row, scene: Path) -> Thumbnail | None:
 def _small(path: Path) -> Thumbnail:
     """A picture file, made small."""
     picture = images.read(path)
-    return Thumbnail(images.resize(picture, _width(picture.shape[1], picture.shape[0]), HEIGHT))
+    return Thumbnail(images.resize(picture, max(1, round(HEIGHT * picture.shape[1] / picture.shape[0])), HEIGHT))
 
 
 @cache
 def _photograph(scene: Path) -> Thumbnail:
     """The first view of a scene, made small."""
-    view = load_scene(scene).views[0]
-    return Thumbnail(view.read(_width(view.camera.width, view.camera.height), HEIGHT)[..., :3])
-
-
-def _width(width: int, height: int) -> int:
-    """Width of a thumbnail of a picture of this size [px]."""
-    return max(1, round(HEIGHT * width / height))
+    return Thumbnail(load_scene(scene).views[0].read_small(HEIGHT)[..., :3])

@@ -12,7 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -39,7 +39,7 @@ class Step:
     folder: Path  # where it runs
     out: Path | None = None  # what it writes; None: nothing of its own
     tolerated: bool = False  # whether exit code 1 with a result, as of a check with findings, is no failure
-    needs: Needs = Needs()
+    needs: Needs = field(default_factory=Needs)
     left_s: float = 0.0
 
     @property
