@@ -167,8 +167,8 @@ def run(shelf: Shelf, runner: Runner[Step]) -> dict[str, Any]:
     """
     files.make_folder(shelf.out)
     with locks.beside(shelf.out, "series"):
-        shelf.write()
         try:
+            shelf.write()
             for step, problem in runner(shelf.batches()):
                 shelf.ended(step, problem)
                 shelf.write()

@@ -189,12 +189,12 @@ def test_ctrl_c_ends_watching_and_keeps_the_page(shelf: Callable[..., Shelf], tm
 
 
 def test_watching_needs_a_calibration(shelf: Callable[..., Shelf], tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="'calibration' is missing .--watch finds recordings"):
+    with pytest.raises(UsageError, match=r"'calibration' is missing .--watch finds recordings"):
         shelf(watch=Watch(tmp_path, None))
 
 
 def test_a_series_is_run_by_one_process(shelf: Callable[..., Shelf]) -> None:
     made = shelf("good")
     finish_all(made, "good")
-    with locks.beside(made.out, "series"), pytest.raises(UsageError, match="series is in use .by .* process"):
+    with locks.beside(made.out, "series"), pytest.raises(UsageError, match=r"series is in use .by .* process"):
         run(made, run_all)
