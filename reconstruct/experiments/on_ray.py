@@ -153,7 +153,8 @@ def _require_shared(shared: Sequence[Path]) -> None:
                 raise UsageError("cannot run Koala", where=tasks[one], why=why, remedy=remedy) from None
             if unseen:
                 place = shared[0] if unseen == mark.name else unseen
-                raise UsageError(f"does not see {place}", where=tasks[one], remedy=SHARED)
+                remedy = "put it on a disk that all nodes see under the same path"
+                raise UsageError(f"does not see {place}", where=tasks[one], remedy=remedy)
             if found != version(DISTRIBUTION):
                 why = f"{found} there, {version(DISTRIBUTION)} here"
                 raise UsageError(

@@ -56,8 +56,7 @@ def series(
     if ray or address is not None:
         from koala3d.reconstruct.experiments import on_ray  # Ray is optional
 
-        inputs = [path for item in shelf.series.items.values() for path in (item.recording, item.scene) if path is not None]
-        run_all = partial(on_ray.run_all, address=address, shared=[shelf.out, *inputs])
+        run_all = partial(on_ray.run_all, address=address, shared=[shelf.out, *shelf.series.inputs])
     else:
         from koala3d.reconstruct.experiments.runner import run_all
     result = run(shelf, run_all)

@@ -123,14 +123,17 @@ class Series:
         """The file of the calibration."""
         return None if self.about.calibration is None else self.folder / self.about.calibration
 
-    def with_recordings(self, found: Mapping[str, Path]) -> "Series":
-        """The series with further recordings, by name."""
-        new = {name: Item(name, path, None, self._drawing(None)) for name, path in found.items()}
-        return Series(self.path, self.about, {**new, **self.items})
+    @property
+    def inputs(self) -> list[Path]:
+        """All that its commands read."""
+        of_items = (path for item in self.items.values() for path in (item.recording, item.scene, item.drawing))
+        return [self.path, *dict.fromkeys(path for path in (self.calibration, *of_items) if path is not None)]
 
-    def _drawing(self, own: str | None) -> Path | None:
-        name = own or self.about.drawing
-        return None if name is None else self.folder / name
+    def with_recordings(self, found: Mapping[str, Path]) -> "Series":
+        """The series with further recordings at its end, by name; those that it has already stay as they are."""
+        drawing = None if self.about.drawing is None else self.folder / self.about.drawing
+        new = {name: Item(name, path, None, drawing) for name, path in found.items() if name not in self.items}
+        return Series(self.path, self.about, {**self.items, **new})
 
 
 def read(path: Path) -> Series:

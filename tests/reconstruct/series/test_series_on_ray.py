@@ -64,7 +64,7 @@ def test_a_folder_that_is_not_shared_is_named_before_anything_runs(cluster: Any,
     (tmp_path / "out").mkdir()
     with (
         chdir(tmp_path),
-        pytest.raises(UsageError, match=r"^node \S+ \(\S+\): does not see /proc/self/cwd/out; is --out on a disk"),
+        pytest.raises(UsageError, match=r"^node \S+ \(\S+\): does not see /proc/self/cwd/out; put it on a disk"),
     ):
         next(on_ray.run_all([[]], cluster.address, shared=[Path("/proc/self/cwd/out")]))
     assert not list((tmp_path / "out").iterdir())
