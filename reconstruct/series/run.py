@@ -66,7 +66,7 @@ class Shelf:
         """Steps that can start, the next one of each object; ends when there are no more to come."""
         while True:
             if self.watch is not None:
-                self._take(self.watch.new(set(self.pieces)))
+                self._take(self.watch.new(self.series.items))
             ready = [step for piece in self.pieces.values() if (step := self._next(piece)) is not None]
             if not ready and not self.progress.running and (self.watch is None or self.watch.over):
                 return
@@ -181,7 +181,7 @@ def run(shelf: Shelf, runner: Runner[Step]) -> dict[str, Any]:
     rows = shelf.rows()
     if shelf.watch is not None:
         with suppress(OSError):
-            for name, missing in shelf.watch.begun(set(shelf.pieces)).items():
+            for name, missing in shelf.watch.begun(shelf.series.items).items():
                 hint(f"{name}: not taken, {missing} views of its recording are missing")
     failed = [row for row in rows if row.state == "failed"]
     if failed:

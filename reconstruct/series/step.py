@@ -13,7 +13,7 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -69,12 +69,7 @@ class Step:
 
     def read(self) -> dict[str, Any]:
         """The result: `command`, `seconds`, `output`. Raises DatasetError: it is damaged."""
-        content = files.read_json(self.result, kind=FORMAT, version=VERSION)
-        if not isinstance(content.get("output"), dict) or not isinstance(content.get("seconds"), int | float):
-            raise DatasetError(
-                "result of a step is not complete", where=self.result, remedy="remove it, and run the series again"
-            )
-        return content
+        return _read(self.result)
 
     def attempt(self) -> str:
         """Run unless there is a result; the error, or "". What a killed process has left is resumed, or removed and made again."""
@@ -121,6 +116,15 @@ class Step:
         first = errors[0]
         told = KoalaError(first["what"], **{key: first.get(key, "") for key in ("where", "why", "remedy")})
         return f"'{' '.join(self.words[:2])}' finds {len(errors)} errors: {told}"
+
+
+@cache
+def _read(result: Path) -> dict[str, Any]:
+    """The content of a result, which never changes once it is there."""
+    content = files.read_json(result, kind=FORMAT, version=VERSION)
+    if not isinstance(content.get("output"), dict) or not isinstance(content.get("seconds"), int | float):
+        raise DatasetError("result of a step is not complete", where=result, remedy="remove it, and run the series again")
+    return content
 
 
 def _json(printed: str) -> dict[str, Any] | None:

@@ -1,12 +1,13 @@
 """Recordings that appear in a folder while the arm goes on."""
 
 import time
+from collections.abc import Mapping
 from pathlib import Path
 
 from koala3d.datasets.core.errors import KoalaError
 from koala3d.datasets.incidents import left_out
 from koala3d.datasets.recording import MANIFEST, Recording
-from koala3d.reconstruct.series.file import NAME
+from koala3d.reconstruct.series.file import NAME, Item
 
 
 class Watch:
@@ -17,21 +18,22 @@ class Watch:
         self.folder, self._idle_s = Path(folder).absolute(), idle_s
         self._changed = time.monotonic()
 
-    def new(self, known: set[str]) -> dict[str, Path]:
-        """Complete recordings whose names are not known yet."""
-        found = {
-            place.name: place
-            for place in sorted(self.folder.iterdir())
-            if place.name not in known and NAME.fullmatch(place.name) and missing_views(place) == 0
-        }
+    def new(self, items: Mapping[str, Item]) -> dict[str, Path]:
+        """Complete recordings that are not among the objects yet, by name."""
+        found = {place.name: place for place in self._others(items) if missing_views(place) == 0}
         if found:
             self.touch()
         return found
 
-    def begun(self, known: set[str]) -> dict[str, int]:
+    def begun(self, items: Mapping[str, Item]) -> dict[str, int]:
         """How many views are missing of recordings that are not complete, by name."""
-        places = [place for place in sorted(self.folder.iterdir()) if place.name not in known and NAME.fullmatch(place.name)]
-        return {place.name: missing for place in places if (missing := missing_views(place))}
+        return {place.name: missing for place in self._others(items) if (missing := missing_views(place))}
+
+    def _others(self, items: Mapping[str, Item]) -> list[Path]:
+        """What could be further recordings, in the order of names."""
+        known = {item.recording.resolve() for item in items.values() if item.recording is not None}
+        names = (place for place in sorted(self.folder.iterdir()) if NAME.fullmatch(place.name) and place.name not in items)
+        return [place for place in names if place.resolve() not in known]
 
     def touch(self) -> None:
         """Something has happened: a recording came, or a step ended."""
