@@ -81,10 +81,11 @@ COMMANDS = {
         output_commands.mesh,
         asset_command.asset,
         splats_command.splats,
+        series_command.series,
     ),
     console.LOOK: (view, output_commands.report, output_commands.render, asset_command.light),
     console.CHECK: (diagnosis_command.diagnose, models, backend),
-    console.STUDY: (series_command.series, experiment_commands.sweep, experiment_commands.table, scenes_command.scenes),
+    console.STUDY: (experiment_commands.sweep, experiment_commands.table, scenes_command.scenes),
 }
 for _panel, _commands in COMMANDS.items():
     for _command in _commands:

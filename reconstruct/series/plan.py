@@ -91,7 +91,7 @@ def _piece(series: Series, item: Item, out: Path, first: str) -> Piece:
         reference = first if item.drawing is None else None
         other = out / first / MODEL if item.drawing is None else item.drawing
         tolerance = () if about.tolerance_m is None else ("--tolerance", f"{about.tolerance_m:g}")
-        compared = ("reconstruct", "compare-shape", seen(run), seen(other), *tolerance)
+        compared = ("reconstruct", "compare-shape", seen(run), seen(other), *stands, *tolerance)
         words["compare"] = place / COMPARE, (*compared, "--out", seen(place / COMPARE))
     steps = [
         Step(

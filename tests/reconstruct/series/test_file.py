@@ -57,7 +57,7 @@ def test_everything_that_objects_share_reaches_their_commands(folder: Path) -> N
         "reconstruct asset out/first/run --stands-on -z --out out/first/asset.glb",
     ]
     assert found["second"][0] == f"reconstruct train scenes/ball --from out/first/run {options} --out out/second/run"
-    compared = ["reconstruct compare-shape out/{0}/run {1} --tolerance 0.0005 --out out/{0}/compare"]
+    compared = ["reconstruct compare-shape out/{0}/run {1} --stands-on -z --tolerance 0.0005 --out out/{0}/compare"]
     assert found["second"][3:] == [compared[0].format("second", "cup.stl")]
     assert found["third"][3:] == [compared[0].format("third", "out/first/run")]
 
