@@ -80,7 +80,11 @@ class Step:
         program = [sys.executable, "-m", f"koala3d.{words[0]}.cli", *words[1:]]
         ending = partial(end_with, os.getpid())
         with subprocess.Popen(program, stdout=subprocess.PIPE, cwd=self.folder, preexec_fn=ending) as process:
-            printed = process.communicate()[0].decode(errors="replace")
+            try:
+                printed = process.communicate()[0].decode(errors="replace")
+            except KeyboardInterrupt:
+                process.wait()  # Ctrl-C reached it, too, and a training saves what it has
+                raise
         hint(printed.rstrip())
         output = _json(printed)
         if problem := self._problem(process.returncode, output):

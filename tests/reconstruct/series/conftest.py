@@ -1,4 +1,4 @@
-"""A series of two scenes that is quick to train, and what came of it on this machine after its driver was killed."""
+"""A series of two scenes that is quick to train, and what came of it on this machine in the end."""
 
 import json
 import os
@@ -16,6 +16,7 @@ from koala3d.datasets.scene import Scene
 from koala3d.reconstruct import checkpoint
 from koala3d.reconstruct.run import CHECKPOINTS
 from koala3d.reconstruct.training.pace.pause import PauseRequests
+from tests.moments import until
 from tests.small import SET
 
 STEPS = 48
@@ -65,15 +66,19 @@ def figures(out: Path) -> dict[str, Any]:
 
 
 @pytest.fixture(scope="session")
-def killed_once(two_balls: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What the series left when its driver was killed in the midst of the first training, and the same command was typed again."""
-    from tests.moments import until
-
-    out = two_balls.parent / "alone"
-    driver = subprocess.Popen(words(two_balls, out), stderr=subprocess.PIPE)
+def interrupted(two_balls: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What the series left after Ctrl-C in the midst of the first training, a killed driver, and the same command once more."""
+    out, log = two_balls.parent / "alone", two_balls.parent / "alone/one/steps/train.log"
+    driver = subprocess.Popen(words(two_balls, out), stderr=subprocess.PIPE, text=True, start_new_session=True)
     until(lambda: in_training(out / "one" / "run"), "the first checkpoint")
-    driver.send_signal(signal.SIGKILL)
-    driver.communicate()
+    os.killpg(driver.pid, signal.SIGINT)
+    said = driver.communicate()[1]
+    assert driver.returncode == 1 and said.endswith("error: stopped by Ctrl-C; what was finished is kept\n")
+    assert "stopped by Ctrl-C" in log.read_text(), "the training was given the time to save"
+    driver = subprocess.Popen(words(two_balls, out), stderr=subprocess.DEVNULL)
+    until(lambda: "--resume" in log.read_text(), "the same training")
+    driver.kill()
+    driver.wait()
     until(lambda: not processes_of(two_balls.parent), "the end of what the driver had started")
     assert not (out / "one/steps/train.json").exists() and not (out / "two").exists()
     done = subprocess.run(words(two_balls, out), capture_output=True, text=True, timeout=280, check=False)

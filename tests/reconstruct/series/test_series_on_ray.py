@@ -29,7 +29,7 @@ def strike(out: Path) -> None:
 
 
 @pytest.mark.timeout(600)
-def test_results_on_a_cluster_are_those_without_one(cluster: Any, two_balls: Path, killed_once: Path) -> None:
+def test_results_on_a_cluster_are_those_without_one(cluster: Any, two_balls: Path, interrupted: Path) -> None:
     """Two nodes; the worker of one training is killed, with the command that it runs, and the training goes on elsewhere."""
     cluster.add_node(**NODE)
     out = two_balls.parent / "spread"
@@ -39,7 +39,7 @@ def test_results_on_a_cluster_are_those_without_one(cluster: Any, two_balls: Pat
         done = subprocess.run(command, capture_output=True, text=True, timeout=500, check=False)
         struck.result()
     assert done.returncode == 0, done.stderr
-    assert figures(out) == figures(killed_once)
+    assert figures(out) == figures(interrupted)
     assert "one/steps/train: lost its worker (it crashed or was killed), 1 of 3: goes on elsewhere" in done.stderr
     assert (out / "one/steps/train.log").read_text().count("--resume") == 1
 
