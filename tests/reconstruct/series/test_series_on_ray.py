@@ -17,14 +17,14 @@ from koala3d.reconstruct.series.step import Step
 from tests.moments import until
 from tests.reconstruct.cluster import NODE, on_ray, workers
 from tests.reconstruct.cluster import cluster as cluster
-from tests.reconstruct.series.conftest import figures, in_training, words
+from tests.reconstruct.series.conftest import COMPILED_S, figures, in_training, words
 
 pytestmark = pytest.mark.filterwarnings("ignore:os.fork")
 
 
 def strike(out: Path) -> None:
     """Kill the worker of the first training in its midst."""
-    until(lambda: in_training(out / "one/run"), "the first checkpoint")
+    until(lambda: in_training(out / "one/run"), "the first checkpoint", COMPILED_S)
     os.kill(workers(out / "one/steps/train.log")[-1], signal.SIGKILL)
 
 
@@ -36,7 +36,7 @@ def test_results_on_a_cluster_are_those_without_one(cluster: Any, two_balls: Pat
     with ThreadPoolExecutor(1) as thread:
         struck = thread.submit(strike, out)
         command = words(two_balls, out, "--ray", "--address", cluster.address)
-        done = subprocess.run(command, capture_output=True, text=True, timeout=500, check=False)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=1200, check=False)
         struck.result()
     assert done.returncode == 0, done.stderr
     assert figures(out) == figures(interrupted)
