@@ -126,7 +126,7 @@ def _fits(job: Work, running: Iterable[Work]) -> bool:
 def _submitted(job: Work) -> Any:
     """The running task of a job."""
     needs, wanted = job.needs, _wanted(job.needs)
-    options = {"num_cpus": needs.cores, "num_gpus": wanted["GPU"], "memory": wanted["memory"] or None}
+    options = {"num_cpus": needs.cores, "num_gpus": wanted["GPU"], "memory": int(wanted["memory"]) or None}
     return ray.remote(max_retries=0, max_calls=1, scheduling_strategy="SPREAD", **options)(_attempt).remote(job)
 
 

@@ -1,5 +1,6 @@
 """`reconstruct series`."""
 
+from collections import Counter
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -60,4 +61,6 @@ def series(
     else:
         from koala3d.reconstruct.experiments.runner import run_all
     result = run(shelf, run_all)
-    console.report(result, as_json=as_json, text=f"{len(result['objects'])} objects\n{result['page']}")
+    states = Counter(row["state"] for row in result["objects"])
+    told = ", ".join(f"{count} {state}" for state, count in states.items())
+    console.report(result, as_json=as_json, text=f"{told} of {len(result['objects'])} objects\n{result['page']}")

@@ -33,6 +33,13 @@ class StepNeeds(Schema):
         default=None, ge=0, description="share of a GPU; null: one for 'train' if the cluster has any, none for others"
     )
 
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        for name, amount in (("cores", self.cores), ("gpus", self.gpus or 0)):
+            if amount > 1 and amount != int(amount):
+                raise ValueError(f"{name}: more than one is a whole number")
+        return self
+
 
 class Piece(Schema):
     """An object that has more to it than a path."""

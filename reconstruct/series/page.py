@@ -77,8 +77,8 @@ def _html(rows: Sequence[Row], scenes: Mapping[str, Path], series: Series, out: 
 def _cells(row: Row, scene: Path, out: Path, figures: Mapping[str, str]) -> list[Cell]:
     """An object's line of the table."""
     links = [Link(what, os.path.relpath(path, out)) for what, path in row.files.items()]
-    step = row.step or "train"
-    links.append(Link("log", f"{row.name}/steps/{step}.log")) if row.state == "failed" else None
+    if row.state == "failed":
+        links.append(Link("log", f"{row.name}/steps/{row.step}.log"))
     state = f"{row.state}: {row.step}" if row.step else row.state
     numbers = [Number(row.figures.get(key)) for key in figures]
     return [_picture(row, scene), row.name, state, Number(sum(row.seconds.values()), digits=0), *numbers, tuple(links)]
@@ -86,12 +86,8 @@ def _cells(row: Row, scene: Path, out: Path, figures: Mapping[str, str]) -> list
 
 def _deviations(page: ReportPage, rows: Sequence[Row], columns: Mapping[str, str], series: Series) -> None:
     """How the shapes deviate."""
-    first = next(iter(series.items), "")
-    of = (
-        "its drawing"
-        if series.about.drawing or any(item.drawing for item in series.items.values())
-        else f"the first one, {first}"
-    )
+    drawn = any(item.drawing is not None for item in series.items.values())
+    of = "its drawing" if drawn else f"the first one, {next(iter(series.items), '')}"
     words = f"Of each object from {of}, outward positive. Significant: beyond what its uncertainty explains."
     page.section("Deviations of shape", words)
     page.table(("object", *columns.values()), [(row.name, *(Number(row.figures.get(key)) for key in columns)) for row in rows])

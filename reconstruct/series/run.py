@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from koala3d.datasets.core import files, locks
 from koala3d.datasets.core.console import hint
@@ -25,7 +25,8 @@ from koala3d.reconstruct.series.watch import Watch
 
 NEEDED = ("build", "check", "train")
 """Steps without which no later one can run."""
-State = Literal["failed", "running", "waiting", "done"]
+STATES = ("failed", "running", "waiting", "done")
+"""In the order of the page."""
 
 
 @dataclass
@@ -88,9 +89,8 @@ class Shelf:
 
     def rows(self) -> list[Row]:
         """A row for each object, failures first, then those at work, those that wait, and those that are done."""
-        order: dict[State, int] = {"failed": 0, "running": 1, "waiting": 2, "done": 3}
         rows = [row_of(piece, *self._state(piece)) for piece in self.pieces.values()]
-        return sorted(rows, key=lambda row: order[row.state])  # type: ignore[index]
+        return sorted(rows, key=lambda row: STATES.index(row.state))
 
     def write(self) -> None:
         """Write page and tables; they replace the former ones."""
@@ -139,7 +139,7 @@ class Shelf:
         before = self.pieces[step.place.name].steps
         return any(one.name in self.progress.failed for one in before[: before.index(step) + 1])
 
-    def _state(self, piece: Piece) -> tuple[State, str, str]:
+    def _state(self, piece: Piece) -> tuple[str, str, str]:
         """State of an object, the step that it is at, and its error."""
         failed = [step for step in piece.steps if step.name in self.progress.failed]
         at = next((step for step in piece.steps if step.name in self.progress.running), None)
@@ -185,11 +185,7 @@ def run(shelf: Shelf, runner: Runner[Step]) -> dict[str, Any]:
                 hint(f"{name}: not taken, {missing} views of its recording are missing")
     failed = [row for row in rows if row.state == "failed"]
     if failed:
-        why, remedy = (
-            f"{failed[0].name}, {failed[0].step}: {failed[0].error}",
-            "fix it and run the series again: what is done is kept",
-        )
-        raise ReconstructError(
-            f"{len(failed)} of {len(rows)} objects failed", where=shelf.out / page.PAGE, why=why, remedy=remedy
-        )
+        what, why = f"{len(failed)} of {len(rows)} objects failed", f"{failed[0].name}, {failed[0].step}: {failed[0].error}"
+        remedy = "fix it and run the series again: what is done is kept"
+        raise ReconstructError(what, where=shelf.out / page.PAGE, why=why, remedy=remedy)
     return {"out": str(shelf.out), "objects": [row.content() for row in rows], "page": str(shelf.out / page.PAGE)}

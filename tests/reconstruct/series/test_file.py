@@ -75,6 +75,7 @@ def test_everything_that_objects_share_reaches_their_commands(folder: Path) -> N
     ("objects: [scenes/ball]\ntolerance_m: 0.1\n", r"tolerance_m is for compare: add it to outputs"),
     ("objects: [scenes/ball]\nmodel: zipnrf\n", r"did you mean 'zipnerf'"),
     ("objects: [scenes/ball]\nsettings: [k=1]\n", r"unknown key 'k'"),
+    ("objects: [scenes/ball]\nneeds: {train: {cores: 2.5}}\n", r"line 2: key 'needs.train': cores: more than one is a whole number"),
     ("objects: [scenes/ball]\nneeds: {train: {core: 2}}\n", r"line 2: unknown key 'needs.train.core'; did you mean 'cores'"),
 ])  # fmt: skip
 def test_a_mistake_is_one_line(folder: Path, text: str, complaint: str) -> None:

@@ -10,7 +10,7 @@ from tests.reconstruct.series.conftest import figures
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are looked up in /proc")
 
 
-@pytest.mark.timeout(600)  # nothing compiled yet, on a busy machine
+@pytest.mark.timeout(1500)  # nothing compiled yet, on a busy machine
 def test_ctrl_c_and_a_killed_driver_change_no_result(interrupted: Path) -> None:
     """Both scenes are the same, and only the training of the first was interrupted."""
     log = (interrupted / "one/steps/train.log").read_text()
