@@ -106,7 +106,9 @@ def test_a_failed_object_stops_no_other_and_is_tried_again(shelf: Callable[..., 
 
 
 def test_a_finished_step_is_not_mixed_with_other_settings(shelf: Callable[..., Shelf]) -> None:
-    finish_all(shelf("good"), "good")
+    made = shelf("good")
+    finish_all(made, "good")
+    made.write()
     with pytest.raises(
         UsageError, match=r"out/good/steps/train.json: was run with other settings \(.*train.steps=5 .*choose another"
     ):
