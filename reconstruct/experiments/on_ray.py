@@ -38,14 +38,12 @@ LOST = {WorkerCrashedError: "it crashed or was killed", OutOfMemoryError: "out o
 SHARED = "is --out on a disk that all nodes share?"
 
 
-def run_all(batches: Batches[W], address: str | None, *, shared: Sequence[Path] = ()) -> Iterator[tuple[W, str]]:
-    """Run jobs on a cluster, each with what it needs, those with the most work left first; without an address, on this machine.
+def run_all(batches: Batches[W], address: str | None, *, shared: Sequence[Path] = ()) -> Iterator[tuple[W, str | None]]:
+    """Run jobs on a cluster, each with what it needs, those with the most work left first; a `waiting.Runner`.
 
     Args:
+        address: of the cluster; None for this machine.
         shared: the folder to write in, and further files, which every node must see.
-
-    Yields:
-        Each job when it has ended, with its error or "".
 
     Raises UsageError: there is no such cluster, or a node does not see what is shared.
     """
@@ -59,6 +57,7 @@ def run_all(batches: Batches[W], address: str | None, *, shared: Sequence[Path] 
                     waiting.remove(job)
                     prepare(job)
                     running[_submitted(job)] = job
+                    yield job, None
             if running:
                 ended, _ = ray.wait(list(running), timeout=LOOK_S if waiting or waiting.open else None)
                 for one in ended:

@@ -15,14 +15,15 @@ from koala3d.reconstruct.experiments.job_log import last_line, output_in
 from koala3d.reconstruct.experiments.waiting import LOOK_S, Batches, W, Waiting, Work, end_with
 
 
-def run_all(batches: Batches[W]) -> Iterator[tuple[W, str]]:
-    """Run jobs on this machine, what is nearest to its end first. Yields: each job when it has ended, with its error or ""."""
+def run_all(batches: Batches[W]) -> Iterator[tuple[W, str | None]]:
+    """Run jobs on this machine, what is nearest to its end first; a `waiting.Runner`."""
     waiting = Waiting(batches)
     while True:
         waiting.look()
         if waiting:
             job = min(waiting, key=lambda one: one.left_s)
             waiting.remove(job)
+            yield job, None
             yield job, _run(job)
         elif waiting.open:
             time.sleep(LOOK_S)

@@ -116,6 +116,8 @@ def run(wanted: Sequence[Job], out: Path, runner: Runner[Job]) -> dict[str, Any]
     failed: dict[str, str] = {}
     with progress("sweeping", len(todo), "runs") as bar:
         for job, problem in runner([todo]):
+            if problem is None:
+                continue
             if problem:
                 failed[job.name] = problem
                 hint(f"{job.name}: {problem}")

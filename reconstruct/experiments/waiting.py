@@ -63,8 +63,8 @@ class Work(Protocol):
 W = TypeVar("W", bound=Work)
 Batches = Iterable[Sequence[W]]
 """Jobs that can start, asked for at the beginning, after each end, and every `LOOK_S`; it ends when no more will come."""
-Runner = Callable[[Batches[W]], Iterator[tuple[W, str]]]
-"""Runs jobs; yields each when it has ended, with its error or ""."""
+Runner = Callable[[Batches[W]], Iterator[tuple[W, str | None]]]
+"""Runs jobs; yields each as it begins, with None, and when it has ended, with its error or ""."""
 
 
 class Waiting(list[W]):

@@ -1,7 +1,7 @@
 """A series from its file to its page: which step of which object is next, what has failed, what is there.
 
 OUT/OBJECT/...                 see `plan` and `step`
-OUT/index.html, series.csv     the page and the table, written anew after each step
+OUT/index.html, series.csv     the page and the table, written anew when a step begins or ends
 OUT/series.json                the same for programs; it also keeps which recordings `--watch` has found
 """
 
@@ -33,8 +33,10 @@ STATES = ("failed", "running", "waiting", "done")
 class Progress:
     """What has happened to the objects since this process began."""
 
+    given: set[str] = field(default_factory=set)
+    """Names of steps that an engine has, those that it runs included."""
     running: set[str] = field(default_factory=set)
-    """Names of steps that an engine has."""
+    """Names of steps that run."""
     failed: dict[str, str] = field(default_factory=dict)
     """Error by the name of the step."""
 
@@ -69,14 +71,18 @@ class Shelf:
             if self.watch is not None:
                 self._take(self.watch.new(self.series.items))
             ready = [step for piece in self.pieces.values() if (step := self._next(piece)) is not None]
-            if not ready and not self.progress.running and (self.watch is None or self.watch.over):
+            if not ready and not self.progress.given and (self.watch is None or self.watch.over):
                 return
-            self.progress.running |= {step.name for step in ready}
+            self.progress.given |= {step.name for step in ready}
             yield ready
 
-    def ended(self, step: Step, problem: str) -> None:
-        """A step has ended, with its error or ""."""
+    def told(self, step: Step, problem: str | None) -> None:
+        """A step has begun (None), or has ended, with its error or ""; the page follows."""
+        if problem is None:
+            self.progress.running.add(step.name)
+            return self.write()
         self.progress.running.discard(step.name)
+        self.progress.given.discard(step.name)
         if problem:
             self.progress.failed[step.name] = problem
             hint(f"{step.name}: {problem}")
@@ -86,6 +92,7 @@ class Shelf:
             hint(f"{step.name}: {seconds:.0f} s")
         if self.watch is not None:
             self.watch.touch()
+        self.write()
 
     def rows(self) -> list[Row]:
         """A row for each object, failures first, then those at work, those that wait, and those that are done."""
@@ -109,7 +116,7 @@ class Shelf:
 
     def _next(self, piece: Piece) -> Step | None:
         """The step of an object that can start; None while one is running, where it has to wait, or where there is none."""
-        if any(step.name in self.progress.running for step in piece.steps):
+        if any(step.name in self.progress.given for step in piece.steps):
             return None
         for step in piece.steps:
             if step.done:
@@ -157,7 +164,7 @@ def _training_left(piece: Piece) -> Step | None:
 
 
 def run(shelf: Shelf, runner: Runner[Step]) -> dict[str, Any]:
-    """Run what is left of a series; its page is there from the beginning and written anew after each step.
+    """Run what is left of a series; its page is there from the beginning and written anew when a step begins or ends.
 
     With a `Watch`, Ctrl-C is an end like any other.
 
@@ -170,8 +177,7 @@ def run(shelf: Shelf, runner: Runner[Step]) -> dict[str, Any]:
         try:
             shelf.write()
             for step, problem in runner(shelf.batches()):
-                shelf.ended(step, problem)
-                shelf.write()
+                shelf.told(step, problem)
         except KeyboardInterrupt:
             if shelf.watch is None:
                 raise

@@ -30,7 +30,7 @@ def two_balls(ball_scene: tuple[Scene, Path], tmp_path_factory: pytest.TempPathF
     folder = tmp_path_factory.mktemp("two_balls")
     for name in ("one", "two"):
         koala.save(ball_scene[0], folder / "scenes" / name)
-    settings = [*SET, "surface.enabled=false", "train.checkpoint_s=0.001"]
+    settings = [*SET, "surface.enabled=false", "field.density_bias=0", "train.checkpoint_s=0.001"]
     content = {"objects": ["scenes/one", "scenes/two"], "model": "mipnerf", "steps": STEPS, "settings": settings}
     (folder / "series.yaml").write_text(yaml.safe_dump({**content, "check": "none", "outputs": ["eval"]}))
     return folder / "series.yaml"

@@ -16,6 +16,13 @@ from koala3d.reconstruct.series.step import Step
 from tests.moments import as_soon_as, until
 
 
+def outcome(step: Step) -> str:
+    """The error of a step that runs in a process of its own, or ""."""
+    (begun, ended) = runner.run_all([[step]])
+    assert begun == (step, None) and ended[1] is not None
+    return ended[1]
+
+
 @pytest.fixture
 def make(tmp_path: Path) -> Callable[..., Step]:
     """Factory of a step of the object `cup` from the words of its command."""
@@ -28,7 +35,7 @@ def make(tmp_path: Path) -> Callable[..., Step]:
 
 def test_a_step_is_done_once_and_leaves_what_it_printed(make: Callable[..., Step], ball_scene: tuple[Scene, Path]) -> None:
     step = make("datasets", "info", ball_scene[1])
-    assert [problem for _, problem in runner.run_all([[step]])] == [""]
+    assert outcome(step) == ""
     result = step.read()
     assert result["command"] == f"datasets info {ball_scene[1]}" and result["seconds"] > 0 and result["output"]
     assert f"$ datasets info {ball_scene[1]} --json\n" in step.log.read_text()
@@ -41,12 +48,12 @@ def test_what_a_kill_left_is_made_again(make: Callable[..., Step], ball_scene: t
     out.mkdir(parents=True)
     (out / "half").write_text("")
     step = make("datasets", "export", ball_scene[1], "--format", "llff", "--out", out, out=out)
-    assert [problem for _, problem in runner.run_all([[step]])] == [""]
+    assert outcome(step) == ""
     assert not (out / "half").exists() and (out / "poses_bounds.npy").is_file()
 
 
 def test_an_error_of_the_command_is_the_error_of_the_step(make: Callable[..., Step], tmp_path: Path) -> None:
-    ((_, problem),) = runner.run_all([[make("datasets", "info", tmp_path / "nowhere")]])
+    problem = outcome(make("datasets", "info", tmp_path / "nowhere"))
     assert str(tmp_path / "nowhere") in problem and "\n" not in problem and not make("datasets").done
 
 
@@ -56,9 +63,9 @@ def test_findings_of_a_check_fail_unless_they_are_tolerated(
     shutil.copytree(ball_scene[1], tmp_path / "scene")
     next((tmp_path / "scene" / "images").iterdir()).unlink()
     words = ("datasets", "check", "scene", "--quick")
-    ((_, problem),) = runner.run_all([[make(*words)]])
+    problem = outcome(make(*words))
     assert problem.startswith("'datasets check' finds 1 errors: ") and ".png" in problem and not make(*words).done
-    ((_, problem),) = runner.run_all([[make(*words, tolerated=True)]])
+    problem = outcome(make(*words, tolerated=True))
     assert problem == "" and make(*words).read()["output"]["errors"] == 1
 
 
@@ -79,7 +86,7 @@ def test_a_killed_command_is_named_with_its_signal(make: Callable[..., Step], ba
     step = make("datasets", "view", ball_scene[1], "--quick", "--port", "0", "--data-root", "/tmp/series-killed")
     kill = lambda: [os.kill(process, signal.SIGKILL) for process in child_of(step)]  # noqa: E731
     with as_soon_as(lambda: child_of(step), kill, "the command"):
-        ((_, problem),) = runner.run_all([[step]])
+        problem = outcome(step)
     assert problem.startswith("'datasets view' was killed by signal 9; ") and not step.done
 
 
