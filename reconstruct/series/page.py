@@ -62,8 +62,8 @@ def _html(rows: Sequence[Row], scenes: Mapping[str, Path], series: Series, out: 
         "Objects", "Reload the page to see how far they are. Pictures: photograph, rendering, normals, depth, reflected part."
     )
     figures = {key: words for key, words in headings(rows).items() if key not in DEVIATIONS}
-    body = [_cells(row, scenes[row.name], out, figures) for row in rows]
-    page.table(("", "object", "state", "time [s]", *figures.values(), "files"), body)
+    body = [_cells(row, scenes[row.name], out, figures, failed=bool(failed)) for row in rows]
+    page.table(("", "object", "state", "time [s]", *figures.values(), "files", *(["error"] if failed else [])), body)
     if compared := {key: words for key, words in headings(rows).items() if key in DEVIATIONS}:
         _deviations(page, [row for row in rows if compared.keys() & row.figures.keys()], compared, series)
     kinds = list(dict.fromkeys(kind for row in rows for kind in row.seconds))
@@ -74,14 +74,15 @@ def _html(rows: Sequence[Row], scenes: Mapping[str, Path], series: Series, out: 
     return page.render()
 
 
-def _cells(row: Row, scene: Path, out: Path, figures: Mapping[str, str]) -> list[Cell]:
-    """An object's line of the table."""
+def _cells(row: Row, scene: Path, out: Path, figures: Mapping[str, str], *, failed: bool) -> list[Cell]:
+    """An object's line of the table, with a column of errors if any object has failed."""
     links = [Link(what, os.path.relpath(path, out)) for what, path in row.files.items()]
     if row.state == "failed":
         links.append(Link("log", f"{row.name}/steps/{row.step}.log"))
     state = f"{row.state}: {row.step}" if row.step else row.state
     numbers = [Number(row.figures.get(key)) for key in figures]
-    return [_picture(row, scene), row.name, state, Number(sum(row.seconds.values()), digits=0), *numbers, tuple(links)]
+    seconds, error = Number(sum(row.seconds.values()), digits=0), [row.error] if failed else []
+    return [_picture(row, scene), row.name, state, seconds, *numbers, tuple(links), *error]
 
 
 def _deviations(page: ReportPage, rows: Sequence[Row], columns: Mapping[str, str], series: Series) -> None:
@@ -90,7 +91,9 @@ def _deviations(page: ReportPage, rows: Sequence[Row], columns: Mapping[str, str
     of = "its drawing" if drawn else f"the first one, {next(iter(series.items), '')}"
     words = f"Of each object from {of}, outward positive. Significant: beyond what its uncertainty explains."
     page.section("Deviations of shape", words)
-    page.table(("object", *columns.values()), [(row.name, *(Number(row.figures.get(key)) for key in columns)) for row in rows])
+    shown = {key: heading for key, heading in columns.items() if not key.endswith("_std")}
+    number = lambda row, key: Number(row.figures.get(key), std=row.figures.get(f"{key}_std"))  # noqa: E731
+    page.table(("object", *shown.values()), [(row.name, *(number(row, key) for key in shown)) for row in rows])
 
 
 def _picture(row: Row, scene: Path) -> Thumbnail | None:

@@ -119,7 +119,7 @@ class Step:
             return f"'{' '.join(self.words[:2])}' ended with exit code {code}; see {self.log}"
         first = errors[0]
         told = KoalaError(first["what"], **{key: first.get(key, "") for key in ("where", "why", "remedy")})
-        return f"'{' '.join(self.words[:2])}' finds {len(errors)} errors: {told}"
+        return f"'{' '.join(self.words[:2])}' finds {len(errors)} error{'s' if len(errors) > 1 else ''}: {told}"
 
 
 @cache

@@ -22,7 +22,7 @@ DEVIATIONS = {
     "within": "within tolerance [%]",
     "significant": "significant [%]",
     "scale": "scale",
-    "scale_std": "± scale",
+    "scale_std": "its standard deviation",
 }
 """Heading of each figure of a comparison."""
 MOST_SIGNIFICANT = 1.0

@@ -83,7 +83,7 @@ def test_a_failed_object_stops_no_other_and_is_tried_again(shelf: Callable[..., 
     done = first.pieces["good"].steps[0].result
     before = done.stat().st_mtime_ns
     with pytest.raises(
-        ReconstructError, match=r"index.html: 2 of 3 objects failed \(bad_1, check: 'datasets check' finds 1 errors: "
+        ReconstructError, match=r"index.html: 2 of 3 objects failed \(bad_1, check: 'datasets check' finds 1 error: "
     ):
         run(first, run_all)
     assert done.stat().st_mtime_ns == before

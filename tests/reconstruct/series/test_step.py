@@ -64,7 +64,7 @@ def test_findings_of_a_check_fail_unless_they_are_tolerated(
     next((tmp_path / "scene" / "images").iterdir()).unlink()
     words = ("datasets", "check", "scene", "--quick")
     problem = outcome(make(*words))
-    assert problem.startswith("'datasets check' finds 1 errors: ") and ".png" in problem and not make(*words).done
+    assert problem.startswith("'datasets check' finds 1 error: ") and ".png" in problem and not make(*words).done
     problem = outcome(make(*words, tolerated=True))
     assert problem == "" and make(*words).read()["output"]["errors"] == 1
 
