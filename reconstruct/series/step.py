@@ -72,7 +72,7 @@ class Step:
         return _read(self.result)
 
     def attempt(self) -> str:
-        """Run unless there is a result; the error, or "". What a killed process has left is resumed, or removed and made again."""
+        """Run unless there is a result; the error, or "". What a killed process left is resumed, or made again."""
         if self.done:
             return ""
         words, began = [*self.words, *self._resumed(), "--json"], time.time()
