@@ -13,6 +13,7 @@ from koala3d.reconstruct.experiments import commands as experiment_commands
 from koala3d.reconstruct.options import Preset
 from koala3d.reconstruct.output import commands as output_commands
 from koala3d.reconstruct.rendered import command as scenes_command
+from koala3d.reconstruct.series import command as series_command
 from koala3d.reconstruct.splats import command as splats_command
 
 app = console.make_app("reconstruct", "Train Surf-NeRF on a scene, evaluate it, and export images and geometry.")
@@ -80,6 +81,7 @@ COMMANDS = {
         output_commands.mesh,
         asset_command.asset,
         splats_command.splats,
+        series_command.series,
     ),
     console.LOOK: (view, output_commands.report, output_commands.render, asset_command.light),
     console.CHECK: (diagnosis_command.diagnose, models, backend),

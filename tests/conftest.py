@@ -62,6 +62,7 @@ LONG = (
     "tests/reconstruct/training/test_every_model.py",
     "tests/test_pipeline.py",
     "tests/reconstruct/experiments/test_sweep_on_ray.py",
+    "tests/reconstruct/series/test_whole_series.py",
     "tests/reconstruct/training/test_quality.py",
     "tests/faults/test_faults.py",
     "tests/reconstruct/training/test_distributed.py",

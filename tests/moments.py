@@ -12,11 +12,11 @@ PATIENCE_S = 60.0
 """What takes longer than this on a busy machine does not happen at all."""
 
 
-def until(holds: Callable[[], object], what: str) -> None:
+def until(holds: Callable[[], object], what: str, patience_s: float = PATIENCE_S) -> None:
     """Return at the moment at which `holds` becomes true. Raises AssertionError, which names `what`: it never did."""
-    deadline = time.monotonic() + PATIENCE_S
+    deadline = time.monotonic() + patience_s
     while not holds():
-        assert time.monotonic() < deadline, f"did not come within {PATIENCE_S:.0f} s: {what}"
+        assert time.monotonic() < deadline, f"did not come within {patience_s:.0f} s: {what}"
         time.sleep(LOOK_S)
 
 

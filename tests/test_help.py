@@ -55,6 +55,7 @@ def test_the_list_of_libraries_is_not_empty() -> None:
                 "diagnose",
                 "models",
                 "backend",
+                "series",
                 "sweep",
                 "table",
                 "scenes",

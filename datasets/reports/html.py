@@ -14,9 +14,10 @@ paper they stand side by side. The markup is in `templates/`, rendered by jinja2
 import base64
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -57,7 +58,33 @@ class Number:
         return f"{self.value:.{digits}f}{deviation}"
 
 
-Cell = str | int | Number | None
+@dataclass(frozen=True)
+class Link:
+    """Words that lead to a file."""
+
+    words: str
+    path: str
+    """Relative to the page."""
+
+    @property
+    def href(self) -> str:
+        """The path as an address."""
+        return quote(self.path)
+
+
+@dataclass(frozen=True)
+class Thumbnail:
+    """A picture in a table, at its own size."""
+
+    picture: Picture
+
+    @cached_property
+    def source(self) -> str:
+        """The PNG file in base 64."""
+        return _base64(self.picture)
+
+
+Cell = str | int | Number | Thumbnail | tuple[Link, ...] | None
 
 
 @cache

@@ -6,16 +6,18 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from koala3d.datasets.core import files
 from koala3d.datasets.core.console import hint
 from koala3d.datasets.core.errors import KoalaError
 from koala3d.datasets.formats import find, load_scene
 from koala3d.reconstruct import checkpoint
+from koala3d.reconstruct.backend import cache_compilations
 from koala3d.reconstruct.config import Config
 from koala3d.reconstruct.experiments import machine
 from koala3d.reconstruct.experiments.results import Result
+from koala3d.reconstruct.experiments.waiting import Needs
 from koala3d.reconstruct.models import load_config
 from koala3d.reconstruct.output.evaluate import evaluate
 from koala3d.reconstruct.output.trained_model import TrainedModel
@@ -49,6 +51,8 @@ class Job:
     recipe: Recipe
     setting: str = BASE
     changes: tuple[str, ...] = ()  # further overrides, the seed among them
+    needs: ClassVar[Needs] = Needs()
+    left_s: ClassVar[float] = 0.0
 
     @property
     def result(self) -> Path:
@@ -89,6 +93,7 @@ class Job:
         """Run unless there is a result; the error, or "". An error of one job does not concern the others."""
         try:
             if not self.done:
+                cache_compilations()
                 self.run()
         except (KoalaError, OSError) as error:
             return str(error)

@@ -10,7 +10,7 @@ An interrupted sweep is resumed; further scenes, models, settings, budgets and s
 """
 
 import shlex
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -25,13 +25,12 @@ from koala3d.reconstruct.experiments import page, tables
 from koala3d.reconstruct.experiments.jobs import BASE, Job, Recipe
 from koala3d.reconstruct.experiments.paper import Settings, ablations
 from koala3d.reconstruct.experiments.results import RESULTS, Result, rows_of, seed_folder
+from koala3d.reconstruct.experiments.waiting import Runner
 
 FORMAT, VERSION = "koala-sweep", 1
 SWEEP, PAGE = "sweep.json", "index.html"
 PAPER = "paper"
 """Name of all the paper's ablations together."""
-Runner = Callable[[Sequence[Job]], Iterator[tuple[Job, str]]]
-"""Runs jobs; yields each when it has ended, with its error or ""."""
 
 
 def plan(
@@ -100,7 +99,7 @@ def scenes_by_name(scenes: Sequence[str]) -> dict[str, str]:
     return {place.name: str(place) for place in places}
 
 
-def run(wanted: Sequence[Job], out: Path, runner: Runner) -> dict[str, Any]:
+def run(wanted: Sequence[Job], out: Path, runner: Runner[Job]) -> dict[str, Any]:
     """Run the jobs that have no result, then write table and page of all results in `out`, earlier ones included.
 
     Raises:
@@ -116,7 +115,9 @@ def run(wanted: Sequence[Job], out: Path, runner: Runner) -> dict[str, Any]:
     todo = [job for job in wanted if not job.done]
     failed: dict[str, str] = {}
     with progress("sweeping", len(todo), "runs") as bar:
-        for job, problem in runner(todo):
+        for job, problem in runner([todo]):
+            if problem is None:
+                continue
             if problem:
                 failed[job.name] = problem
                 hint(f"{job.name}: {problem}")

@@ -15,7 +15,7 @@ def test_a_job_that_dies_costs_itself_only(ball_scene: tuple[Scene, Path], tmp_p
     planned = sweep.plan([str(ball_scene[1])], ["zipnerf"], "fast", [], tmp_path, seeds=range(3))
     kinds = (Dying, Faulty, Written)
     jobs = [kind(job.path, job.recipe, job.setting, job.changes) for kind, job in zip(kinds, planned, strict=True)]
-    (_, died), (_, faulty), (_, fine) = runner.run_all(jobs)
+    died, faulty, fine = (problem for _, problem in runner.run_all([jobs]) if problem is not None)
     assert died == f"its process died; {jobs[0].log} ends with: this does not fit"
     assert faulty == f"unexpected ValueError: no such axis in this array; {jobs[1].log} has its traceback"
     assert "Traceback" in jobs[1].log.read_text() and fine == "" and jobs[2].done

@@ -3,7 +3,8 @@
 import os
 import shutil
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from koala3d.reconstruct.cli import app
 from koala3d.reconstruct.errors import ReconstructError
 from koala3d.reconstruct.experiments import sweep
 from koala3d.reconstruct.experiments.jobs import Job
+from koala3d.reconstruct.experiments.waiting import Batches, Runner
 from tests.reconstruct.experiments.odd_jobs import write_run
 
 
@@ -27,11 +29,11 @@ def ran() -> list[str]:
 
 
 @pytest.fixture
-def runner(ran: list[str]) -> sweep.Runner:
+def runner(ran: list[str]) -> Runner[Job]:
     """Writes results as trainings do; `zipnerf` fails while a file named `broken` exists beside the sweep."""
 
-    def run_all(jobs: Sequence[Job]) -> Iterator[tuple[Job, str]]:
-        for job in jobs:
+    def run_all(batches: Batches[Job]) -> Iterator[tuple[Job, str]]:
+        for job in chain.from_iterable(batches):
             ran.append(job.name)
             broken = job.recipe.model == "zipnerf" and (job.path.parents[4] / "broken").exists()
             if not broken:
@@ -46,7 +48,7 @@ def scene(ball_scene: tuple[Scene, Path]) -> str:
     return str(ball_scene[1])
 
 
-def test_a_failure_leaves_the_other_runs_and_can_be_repeated(scene: str, tmp_path: Path, runner: sweep.Runner) -> None:
+def test_a_failure_leaves_the_other_runs_and_can_be_repeated(scene: str, tmp_path: Path, runner: Runner[Job]) -> None:
     (tmp_path / "broken").write_text("")
     out = tmp_path / "sweep"
     wanted = sweep.plan([scene], ["zipnerf", "surfnerf"], "fast", ["train.seed=1"], out, budgets=[5.0])
@@ -61,7 +63,7 @@ def test_a_failure_leaves_the_other_runs_and_can_be_repeated(scene: str, tmp_pat
     assert "zipnerf" in (out / "table.tex").read_text() and "zipnerf" in (out / "index.html").read_text()
 
 
-def test_settings_and_seeds_make_rows_with_means(scene: str, tmp_path: Path, runner: sweep.Runner, ran: list[str]) -> None:
+def test_settings_and_seeds_make_rows_with_means(scene: str, tmp_path: Path, runner: Runner[Job], ran: list[str]) -> None:
     tried = ["sampling random", "scale=0.5 surface.bias=0"]
     wanted = sweep.plan([scene], ["surfnerf"], "fast", [], tmp_path, settings=tried, seeds=[0, 2])
     assert sweep.run(wanted, tmp_path, runner)["runs"] == 6
@@ -84,7 +86,7 @@ def test_all_of_the_papers_ablations_are_one_word(scene: str, tmp_path: Path) ->
     assert len(wanted) > 10 and wanted[0].setting == "base" and "no regulariser" in [job.setting for job in wanted]
 
 
-def test_a_sweep_is_resumed_with_the_same_settings_only(scene: str, tmp_path: Path, runner: sweep.Runner) -> None:
+def test_a_sweep_is_resumed_with_the_same_settings_only(scene: str, tmp_path: Path, runner: Runner[Job]) -> None:
     out = tmp_path / "sweep"
 
     def ask(model: str, *overrides: str, where: str = scene, **axes: Any) -> dict[str, Any]:
@@ -136,7 +138,7 @@ def test_the_plan_trains_nothing(scene: str, tmp_path: Path) -> None:
     assert said.stdout.splitlines()[-1] == "4 trainings" and not (tmp_path / "none").exists()
 
 
-def test_two_sweeps_are_compared_and_written(scene: str, tmp_path: Path, runner: sweep.Runner, ran: list[str]) -> None:
+def test_two_sweeps_are_compared_and_written(scene: str, tmp_path: Path, runner: Runner[Job], ran: list[str]) -> None:
     for name in ("before", "after"):
         wanted = sweep.plan([scene], ["surfnerf"], "fast", [], tmp_path / name, seeds=range(3))
         sweep.run(wanted, tmp_path / name, runner)
@@ -150,7 +152,7 @@ def test_two_sweeps_are_compared_and_written(scene: str, tmp_path: Path, runner:
 
 
 def test_relative_paths_are_those_of_the_first_working_directory(
-    scene: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, runner: sweep.Runner
+    scene: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, runner: Runner[Job]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (job,) = wanted = sweep.plan([os.path.relpath(scene)], ["surfnerf"], "fast", [], Path("sweep"))

@@ -8,9 +8,8 @@ import re
 import signal
 import subprocess
 import sys
-import tempfile
 import time
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import chdir, redirect_stderr, suppress
 from dataclasses import dataclass, replace
@@ -33,60 +32,18 @@ from koala3d.reconstruct.experiments.jobs import Job
 from koala3d.reconstruct.output.evaluate import METRICS
 from koala3d.reconstruct.run import CHECKPOINTS
 from koala3d.reconstruct.training.pace.pause import PauseRequests
-from tests.moments import until
+from tests.reconstruct.cluster import NODE, on_ray, workers
+from tests.reconstruct.cluster import cluster as cluster
 from tests.reconstruct.experiments.odd_jobs import Astray, Dying, Faulty, Refused, Written
 from tests.small import SET
 
-cluster_utils = pytest.importorskip("ray.cluster_utils", reason="Ray is absent: pip install 'koala-capture[sweep]'")
-if sys.platform != "linux":
-    pytest.skip("processes are looked up in /proc", allow_module_level=True)
-
-from koala3d.reconstruct.experiments import on_ray  # noqa: E402
-
 pytestmark = pytest.mark.filterwarnings("ignore:os.fork")  # so Ray starts a node; the child becomes its program at once
-ROOT = Path(__file__).parents[3]
 STEPS = 96
 SETTINGS = [*SET, f"train.steps={STEPS}", "train.checkpoint_s=0.001"]
 """There is a checkpoint after every chunk, which has 16 steps."""
 SHARE = 0.1
 """Of the time that a training may use until it is struck, so that nobody is too late for that."""
-NODE = {"num_cpus": 1, "object_store_memory": 100 * 2**20, "include_dashboard": False}
 PATIENCE_S = 120.0
-FOLDER = "RAY_TMPDIR"
-"""Variable with the folder for the files of a cluster."""
-
-
-@pytest.fixture(scope="module")
-def cluster() -> Iterator[Any]:
-    """A node with one processor. In the end none of its processes runs."""
-    with tempfile.TemporaryDirectory(prefix="ray-", dir="/tmp") as folder, pytest.MonkeyPatch.context() as patch:
-        for name, value in {
-            "PYTHONPATH": str(ROOT),  # workers import the jobs of these tests
-            FOLDER: folder,  # short: paths of sockets have 107 characters at most
-            "RAY_AUTH_MODE": "disabled",  # or it leaves a token in the user's home
-            "RAY_USAGE_STATS_ENABLED": "0",
-        }.items():
-            patch.setenv(name, value)
-        cluster = cluster_utils.Cluster(initialize_head=True, head_node_args=NODE)
-        patch.setenv("RAY_ADDRESS", cluster.address)
-        yield cluster
-        cluster.shutdown()
-        until(lambda: not started_with(folder), "the end of the cluster's processes")
-
-
-def started_with(folder: str) -> list[str]:
-    """Command lines of the processes that have the folder as `FOLDER` in their environment."""
-    found = []
-    for place in Path("/proc").glob("[0-9]*"):
-        with suppress(OSError):
-            if f"{FOLDER}={folder}".encode() in (place / "environ").read_bytes().split(b"\0"):
-                found.append((place / "cmdline").read_text().replace("\0", " "))
-    return [line for line in found if "resource_tracker" not in line]  # that of this process, which runs jobs in processes, too
-
-
-def workers(job: Job) -> list[int]:
-    """The processes that have run a job, oldest first."""
-    return [int(number) for number in re.findall(r"^process (\d+) ", job.log.read_text(), re.MULTILINE)]
 
 
 def parent(process: int) -> int:
@@ -102,7 +59,7 @@ def in_training(jobs: Sequence[Job], raylets: Collection[int]) -> tuple[Job, int
         for job, page in zip(jobs, pages, strict=True):
             page.request(SHARE)
             saved = checkpoint.steps(job.path / CHECKPOINTS)
-            if saved and int(saved[-1].name) < STEPS and (raylet := parent(worker := workers(job)[-1])) in raylets:
+            if saved and int(saved[-1].name) < STEPS and (raylet := parent(worker := workers(job.log)[-1])) in raylets:
                 return job, worker, raylet
         time.sleep(0.01)
     raise AssertionError("nothing trains there")
@@ -161,7 +118,7 @@ def test_a_killed_worker_and_a_lost_node_change_no_result(
     losses = sorted(line for line in spread.stderr.splitlines() if "lost its worker" in line)
     assert losses == sorted(f"{job.path}: lost its worker ({why}), 1 of 3: goes on elsewhere" for why, job in hit.items())
     for job in hit.values():
-        assert len(set(workers(job))) == 2
+        assert len(set(workers(job.log))) == 2
         (step,) = re.findall(r": goes on from step (\d+)$", job.log.read_text(), re.MULTILINE)
         assert 0 < int(step) < STEPS
 
@@ -200,7 +157,7 @@ def test_a_job_that_kills_its_workers_is_given_up_and_the_others_finish(failed: 
     goes_on = [f"{job.path}: lost its worker (it crashed or was killed), {n} of 3: goes on elsewhere" for n in (1, 2)]
     gives_up = f"ball/zipnerf/base/seed_6: lost its worker 3 times; {job.log} ends with: this does not fit"
     assert failed.said["Dying"] == [*goes_on, gives_up]
-    assert len(set(workers(job))) == 3
+    assert len(set(workers(job.log))) == 3
     assert failed.said["Written"] == [] and "| ball | zipnerf | 20.00 |" in failed.table
 
 
@@ -217,7 +174,7 @@ def test_errors_read_as_without_ray(failed: Failed) -> None:
     message = f"unexpected ValueError: no such axis in this array; {log} has its traceback"
     assert failed.said["Faulty"] == [f"ball/zipnerf/base/seed_3: {message}"]
     assert "Traceback" in log.read_text() and "odd_jobs.py" in log.read_text()
-    assert len(workers(failed.jobs["Refused"])) == len(workers(failed.jobs["Faulty"])) == 1
+    assert len(workers(failed.jobs["Refused"].log)) == len(workers(failed.jobs["Faulty"].log)) == 1
 
 
 def test_a_worker_that_cannot_import_a_job_is_no_lost_worker(failed: Failed) -> None:
