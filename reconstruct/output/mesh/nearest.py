@@ -13,6 +13,10 @@ POINTS = 100_000
 """Points drawn on the surface."""
 NEAR_THE_END = 0.9
 """Share of the way from a triangle's inner corner to the surface's edge from which a drawn point counts as on the edge."""
+ON_A_SIDE = 1e-9
+"""Barycentric coordinate below which a foot is on a side of its triangle."""
+ROUNDS = 20
+"""Most triangles on the way to the closest one."""
 CANDIDATES = 4
 """Triangles of each kind that are tried."""
 
@@ -46,8 +50,9 @@ class Planes:
 class Nearest:
     """Finds closest points on one mesh.
 
-    Exact where the nearest triangle is among those of the `CANDIDATES` nearest drawn points, which finds large triangles, and
-    those of the nearest centroids, which finds small ones.
+    The search begins at the triangles of the `CANDIDATES` nearest drawn points, which finds large triangles, and of the nearest
+    centroids, which finds small ones. From a foot on a triangle's side it goes on to the triangle behind that side, as long as that
+    is closer.
     """
 
     def __init__(self, mesh: "trimesh.Trimesh", *, count: int = POINTS) -> None:
@@ -62,8 +67,15 @@ class Nearest:
         )
         ends = np.sort(np.asarray(mesh.edges), -1)
         _, which, counts = np.unique(ends, axis=0, return_inverse=True, return_counts=True)
+        which, count = which.reshape(-1), len(mesh.faces)
+        order = np.argsort(which, kind="stable")  # sides of one edge follow each other
+        pairs = np.flatnonzero(which[order][1:] == which[order][:-1])
+        behind = np.repeat(np.arange(count), 3)  # where nothing is behind a side, the triangle itself
+        owner = np.repeat(np.arange(count), 3)
+        behind[order[pairs]], behind[order[pairs + 1]] = owner[order[pairs + 1]], owner[order[pairs]]
+        self._behind = behind.reshape(count, 3)
         self._open = np.zeros(len(mesh.vertices))
-        self._open[ends[counts[which.reshape(-1)] == 1]] = 1.0
+        self._open[ends[counts[which] == 1]] = 1.0
         self._drawn = Feet(points, faces, np.zeros(len(points)))
         self._ends = self.at(self._drawn, self._open) > NEAR_THE_END
 
@@ -90,7 +102,21 @@ class Nearest:
                 apart = np.linalg.norm(on_triangle - points, axis=-1)
                 closer = apart < distance
                 best[closer], triangles[closer], distance[closer] = on_triangle[closer], candidate[closer], apart[closer]
-        return Feet(best, triangles, distance)
+        found = Feet(best, triangles, distance)
+        going = np.flatnonzero(self.shares(found).min(-1) < ON_A_SIDE)
+        for _ in range(ROUNDS):
+            gone = np.zeros(len(going), bool)
+            for behind in self._behind[triangles[going]].T:
+                on_triangle = closest_point(self._triangles[behind], points[going])
+                apart = np.linalg.norm(on_triangle - points[going], axis=-1)
+                closer = apart < distance[going] * (1 - 1e-9)
+                at = going[closer]
+                best[at], triangles[at], distance[at] = on_triangle[closer], behind[closer], apart[closer]
+                gone |= closer
+            going = going[gone]
+            if not len(going):
+                break
+        return found
 
     def shares(self, feet: Feet) -> Float[np.ndarray, "n 3"]:
         """Barycentric coordinates of feet in their triangles, in 0..1."""

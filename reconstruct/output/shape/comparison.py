@@ -37,7 +37,6 @@ class Comparison:
     first: Stated
     """As it was given, but finer where nothing is stated; not moved."""
     second: Stated
-    """The same."""
     aligned: Aligned
     vertices: Float[np.ndarray, "v 3"]
     """Of A, in the frame of B [m]."""
@@ -94,8 +93,7 @@ def compare(
 
     Raises UsageError: see `align`; or no part of A can be compared.
     """
-    first, second = finer(first), finer(second)
-    target = Nearest(second.mesh)
+    first, target = finer(first), Nearest(second.mesh)
     aligned = align(first, second, target, by=by, scaled=scaled)
     vertices = aligned.fit.moved(np.asarray(first.mesh.vertices, np.float64))
     feet = target.feet(vertices)
