@@ -28,10 +28,11 @@ if TYPE_CHECKING:
 FORMAT, VERSION = "koala-certainty", 1
 FILE = "certainty.json"
 """In a run, written by `reconstruct mesh`."""
-NUMBERS = (0.31, 2.2, 0.98)
+NUMBERS = (0.3, 2.0, 1.74)
 """PIXEL, SLOPE and DEPTH."""
-SPREAD = 0.3
-"""Standard deviation of the logarithm of an object's mean error over what is expected of it."""
+EXPECTED, SPREAD = 0.52, 0.68
+"""Mean error of an object over its mean standard deviation, and the standard deviation of the logarithm of that ratio among
+objects. Normal errors have 0.80; these have long tails, which the band is made to hold."""
 BAND = 1.96
 """Standard deviations on either side within which 95 % of normal errors are."""
 FEWEST_VIEWS, LEAST_SPREAD = 3, np.deg2rad(5.0)
@@ -78,7 +79,7 @@ class Uncertain:
         if known > 0:
             order = np.argsort(self.deviation)
             middle = np.searchsorted(np.cumsum(areas[order]), areas.sum() / 2)
-            mean = np.sqrt(2 / np.pi) * float(np.average(self.deviation, weights=areas))
+            mean = EXPECTED * float(np.average(self.deviation, weights=areas))
             interval = [mean * float(np.exp(side * BAND * SPREAD)) for side in (-1, 1)]
             found |= {"median_std": float(self.deviation[order[middle]]), "expected_error": {"value": mean, "interval": interval}}
         return found | {

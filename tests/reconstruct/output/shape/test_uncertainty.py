@@ -16,6 +16,7 @@ from koala3d.reconstruct.output.mesh import files as mesh_files
 from koala3d.reconstruct.output.shape import comparison, evidence, stated, uncertainty
 from koala3d.reconstruct.output.shape.evidence import Evidence
 from koala3d.reconstruct.output.trained_model import TrainedModel
+from tests.bench import shape_coverage
 from tests.reconstruct.conftest import CAMERA, CENTRE, DIFFUSE, RADIUS, SPECULAR
 
 
@@ -123,3 +124,13 @@ def test_a_run_is_compared_with_its_truth(
     found = comparison.compare(stated.read(ball.run.path), stated.read(ball_scene[1] / "truth" / "object.ply")).to_json()
     assert found["aligned"]["by"] == "icp" and abs(found["deviation_m"]["mean"]) < 2e-3
     assert found["significant_share"] is not None and 0 < found["not_compared_share"] < 0.9
+
+
+def test_a_run_of_a_scene_with_a_truth_can_calibrate(
+    ball: TrainedModel, ball_scene: tuple[Scene, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(TrainedModel, "open", lambda _: ball)
+    found = shape_coverage.measured(ball.run.path, resolution=48)
+    assert found.terms.shape == (len(uncertainty.NUMBERS), len(found.errors)) and 0.3 < found.known < 1
+    assert np.isfinite(found.terms).all() and np.average(found.errors, weights=found.areas) < 2e-3
+    assert 0 <= found.inside(np.array(uncertainty.NUMBERS)) <= 1
