@@ -30,7 +30,9 @@ def test_evidence_of_the_ball_is_what_its_geometry_says(ball: TrainedModel) -> N
     found, points = evidence.of(ball, mesh), np.asarray(mesh.vertices)
     above = (points[:, 2] - CENTRE[2]) / RADIUS
     assert (found.views[above < -0.9] == 0).all(), "all views are from above"
-    assert found.views[above > 0.95].min() == 4, "all of the training"
+    assert found.views.max() <= 4 and found.views[above > 0.95].min() >= 2, (
+        "of the four of the training, one sees the top edge-on"
+    )
     distances = [np.linalg.norm(view.world_from_camera[:3, 3] - CENTRE) for view in ball.scene.split("train")]
     assert np.median(found.pixel) == pytest.approx(np.median(distances) / CAMERA.fx, rel=0.1)
     assert np.median(found.soft) < 0.02 * RADIUS and np.median(found.offset) < 0.04 * RADIUS, "solid within a hundredth"
@@ -48,7 +50,7 @@ def test_a_point_inside_is_as_deep_as_the_outlines_leave_open(ball: TrainedModel
 
 
 def evidence_of(**values: float) -> Evidence:
-    plain = {"views": 20, "spread": 0.5, "pixel": 1e-4, "soft": 1e-4, "offset": 1e-4, "depth": 1e-3, "mirror": 0.0, "slope": 0.0}
+    plain = {"views": 20, "spread": 0.5, "pixel": 1e-4, "soft": 1e-4, "offset": 1e-4, "depth": 0.0, "mirror": 0.0, "slope": 0.0}
     return Evidence(**{name: np.array([value]) for name, value in (plain | values).items()})
 
 
@@ -123,7 +125,7 @@ def test_a_run_is_compared_with_its_truth(
     monkeypatch.setattr(extraction, "extract", partial(extraction.extract, resolution=48))
     found = comparison.compare(stated.read(ball.run.path), stated.read(ball_scene[1] / "truth" / "object.ply")).to_json()
     assert found["aligned"]["by"] == "icp" and abs(found["deviation_m"]["mean"]) < 2e-3
-    assert found["significant_share"] is not None and 0 < found["not_compared_share"] < 0.9
+    assert found["significant_share"] is not None and 0.9 < found["not_compared_share"] < 1, "three views see little in common"
 
 
 def test_a_run_of_a_scene_with_a_truth_can_calibrate(
@@ -131,6 +133,8 @@ def test_a_run_of_a_scene_with_a_truth_can_calibrate(
 ) -> None:
     monkeypatch.setattr(TrainedModel, "open", lambda _: ball)
     found = shape_coverage.measured(ball.run.path, resolution=48)
-    assert found.terms.shape == (len(uncertainty.NUMBERS), len(found.errors)) and 0.3 < found.known < 1
+    assert found.terms.shape == (len(uncertainty.NUMBERS), len(found.errors)) and 0 < found.known < 0.1, (
+        "three of four views see little"
+    )
     assert np.isfinite(found.terms).all() and np.average(found.errors, weights=found.areas) < 2e-3
     assert 0 <= found.inside(np.array(uncertainty.NUMBERS)) <= 1
