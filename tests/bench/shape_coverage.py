@@ -2,8 +2,8 @@
 
     python -m tests.bench.shape_coverage RUN...
 
-Each run is of a rendered scene whose true surface is known. For each, the numbers of `uncertainty` are fitted to the others, and the
-share of its surface whose true error is less than 1.96 standard deviations is measured; 90 to 97 % is right. The last lines
+Each run is of a rendered scene whose true surface is known. For each, the numbers of `uncertainty` are fitted to the others, and
+the share of its surface whose true error is less than 1.96 standard deviations is measured; 90 to 97 % is right. The last lines
 have the numbers from all runs, to be written into `uncertainty`.
 """
 

@@ -51,8 +51,8 @@ class Nearest:
     """Finds closest points on one mesh.
 
     The search begins at the triangles of the `CANDIDATES` nearest drawn points, which finds large triangles, and of the nearest
-    centroids, which finds small ones. From a foot on a triangle's side it goes on to the triangle behind that side, as long as that
-    is closer.
+    centroids, which finds small ones. From a foot on a triangle's side it goes on to the triangle behind that side,
+    as long as that is closer.
     """
 
     def __init__(self, mesh: "trimesh.Trimesh", *, count: int = POINTS) -> None:

@@ -54,7 +54,8 @@ def compare_shape(
     from koala3d.reconstruct.output.shape.comparison import compare
 
     refuse_existing(out)
-    one, other = stated.read(first, stands_on=stands_on), stated.read(second, unit=unit, stands_on=stands_on)  # type: ignore[arg-type]
+    one = stated.read(first, stands_on=stands_on)
+    other = stated.read(second, unit=unit, stands_on=stands_on)  # type: ignore[arg-type]
     found = compare(one, other, tolerance=tolerance, by=align, scaled=scale)  # type: ignore[arg-type]
     result = files.write(found, out, console.command_line())
     console.report({"out": str(out), **result}, as_json=as_json, text=f"{files.summary(result)}\n{out}")

@@ -1,8 +1,8 @@
 """What moves or scales a whole reconstruction: errors of the calibration, propagated to the surface.
 
 All views share the errors of the hand-eye pose and of the intrinsics. A point that is reconstructed from views all around appears
-where its wrong rays meet best. The object as a whole is moved, turned and scaled by the similarity that explains most of the shift
-of its pixels; what it does not explain is an error of single places and shows in the model's own agreement.
+where its wrong rays meet best. The object as a whole is moved, turned and scaled by the similarity that explains most of the
+shift of its pixels; what it does not explain is an error of single places and shows in the model's own agreement.
 """
 
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""What is known of each vertex of a mesh that was extracted from a trained model: what views see of it, and what the model says."""
+"""What is known of each vertex of a mesh that was extracted from a trained model: what views see, and what the model says."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -31,7 +31,7 @@ STEPS, REACH = 17, 1 / 48
 EARLY, LATE = 0.16, 0.84
 """Shares of light between which half the way is one standard deviation of a normal distribution."""
 ROUGH = 0.1
-"""The model's roughness (inverse concentration of a lobe) at which a reflection says half as much against matching as a mirror's."""
+"""The model's roughness (inverse concentration of a lobe) at which a reflection is half as sharp as a mirror's."""
 CHUNK = 1 << 11
 """Vertices evaluated by one program."""
 

@@ -5,9 +5,9 @@ Errors of single places are taken to be normal along the surface's normal, with 
     (PIXEL pixel / sqrt(views))^2 + (SLOPE slope pixel)^2 + (DEPTH depth)^2 / views
 
 of `Evidence`: what pictures resolve, and the more of them the better; how far the density's normals and the predicted ones
-disagree; and what outlines leave open behind them, where nothing but colours and reflections say how deep the surface is. The three
-numbers are fitted to rendered scenes whose true shape is known (`python -m tests.bench.shape_coverage`, docs/shape.md). What moves
-the whole object is in `common`.
+disagree; and what outlines leave open behind them, where nothing but colours and reflections say how deep the surface is. The
+three numbers are fitted to rendered scenes whose true shape is known (`python -m tests.bench.shape_coverage`, docs/shape.md). What
+moves the whole object is in `common`.
 """
 
 from dataclasses import dataclass
@@ -45,7 +45,7 @@ NO_OUTLINE = 20.0
 """Pixels that a surface counts as deep at most, and where there are no masks."""
 DEFINITIONS = {
     "median_std": "median over the known surface of the standard deviation of a place along its normal, without what is common",
-    "known_share": "share of the surface of which anything is known: the rest is seen by too few views, or is a mirror's that few see",
+    "known_share": "share of the surface of which anything is known: the rest is seen by too few views, for a mirror by few",
     "expected_error": "mean distance from the known surface to the true one that is to be expected, as the Chamfer distance "
     "measures it, and its 95 % interval",
     "scale_std": "relative standard deviation of the size from the calibration; null where the scene states none",
