@@ -6,8 +6,8 @@ Errors of single places are taken to be normal along the surface's normal, with 
 
 of `Evidence`: what pictures resolve, and the more of them the better; how far the density's normals and the predicted ones
 disagree; and what outlines leave open behind them, where nothing but colours and reflections say how deep the surface is. The
-three numbers are fitted to rendered scenes whose true shape is known (`python -m tests.bench.shape_coverage`, docs/shape.md). What
-moves the whole object is in `common`.
+three numbers are fitted to rendered scenes whose true shape is known (`python -m tests.bench.shape_coverage`, docs/shape.md).
+What moves the whole object is in `common`.
 """
 
 from dataclasses import dataclass
