@@ -12,6 +12,7 @@ from koala3d.reconstruct.diagnosis import command as diagnosis_command
 from koala3d.reconstruct.experiments import commands as experiment_commands
 from koala3d.reconstruct.options import Preset
 from koala3d.reconstruct.output import commands as output_commands
+from koala3d.reconstruct.output.shape import command as shape_command
 from koala3d.reconstruct.rendered import command as scenes_command
 from koala3d.reconstruct.series import command as series_command
 from koala3d.reconstruct.splats import command as splats_command
@@ -84,12 +85,12 @@ COMMANDS = {
         series_command.series,
     ),
     console.LOOK: (view, output_commands.report, output_commands.render, asset_command.light),
-    console.CHECK: (diagnosis_command.diagnose, models, backend),
+    console.CHECK: (diagnosis_command.diagnose, shape_command.compare_shape, models, backend),
     console.STUDY: (experiment_commands.sweep, experiment_commands.table, scenes_command.scenes),
 }
 for _panel, _commands in COMMANDS.items():
     for _command in _commands:
-        app.command(_command.__name__.removesuffix("_command"), panel=_panel)(_command)
+        app.command(_command.__name__.removesuffix("_command").replace("_", "-"), panel=_panel)(_command)
 
 
 def main() -> None:

@@ -14,6 +14,7 @@ from koala3d.reconstruct.asset.texels import texels_of
 from koala3d.reconstruct.asset.unwrap import Unwrapped, unwrap
 from koala3d.reconstruct.output.mesh import extraction
 from koala3d.reconstruct.output.mesh.files import points_on
+from koala3d.reconstruct.output.shape import uncertainty
 from koala3d.reconstruct.output.trained_model import TrainedModel
 
 if TYPE_CHECKING:
@@ -74,6 +75,7 @@ def bake(
         "scene": trained.scene.name,
         "steps": trained.step,
         "certainty": baked.certainty.summary(),
+        "shape": uncertainty.of(trained, surface).summary(),
         "specular_unexplained": baked.unexplained,
         "texels": len(texels.points),
     }

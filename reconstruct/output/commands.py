@@ -160,6 +160,7 @@ def mesh(
     """Extract the object's surface as a coloured mesh or point cloud in world coordinates."""
     from koala3d.datasets.core.files import refuse_existing, required_suffix
     from koala3d.reconstruct.output.mesh import extraction, files
+    from koala3d.reconstruct.output.shape import stated, uncertainty
 
     required_suffix(out, *(("meshes", files.SUFFIXES) if points is None else ("points", (".ply",))))
     refuse_existing(out)
@@ -167,8 +168,13 @@ def mesh(
     surface = extraction.extract(
         trained, resolution=resolution, level=level, watertight=watertight, faces=faces, stands_on=stands_on, follow=follow
     )
+    certain = uncertainty.of(trained, surface)
+    if out.suffix.lower() == ".ply":
+        stated.attach(surface, certain)
+    uncertainty.store(run, trained.step, certain)
     files.save(surface if points is None else files.points_on(surface, points), out)
     result, text = extraction.summary(surface, trained.scene)
+    result, text = result | {"certainty": certain.summary()}, f"{text}\n{uncertainty.text(certain)}"
     console.report({"out": str(out), **result}, as_json=as_json, text=f"{text}\n{out}")
 
 

@@ -18,6 +18,7 @@ from koala3d.reconstruct.output import metrics, schedule_plot
 from koala3d.reconstruct.output.evaluate import current, read_truth
 from koala3d.reconstruct.output.export import brightness_of_depth
 from koala3d.reconstruct.output.metric_names import NAMES, mesh_note, unit
+from koala3d.reconstruct.output.shape import uncertainty
 from koala3d.reconstruct.output.trained_model import TrainedModel
 from koala3d.reconstruct.rendering.pictures import Picture
 from koala3d.reconstruct.run import Run
@@ -82,7 +83,13 @@ def _rest(page: ReportPage, run: Run, result: dict[str, Any], calibrated: list[M
     page.numbers(_scores(result))
     side = result.get("mesh_stands_on")
     measured_mesh = f"Of {mesh_note(side)}." if side else ""
-    for title, scores, lead in (("Mesh", _mesh_scores(result), measured_mesh), ("Calibration", calibrated, "")):
+    certainty = _certainty_scores(run, result)
+    sections = (
+        ("Mesh", _mesh_scores(result), measured_mesh),
+        ("How certain the shape is", certainty, "Of the mesh that reconstruct mesh made last; it is not compared with a truth."),
+        ("Calibration", calibrated, ""),
+    )
+    for title, scores, lead in sections:
         if scores:
             page.section(title, lead)
             page.numbers(scores)
@@ -154,6 +161,25 @@ def _mesh_scores(result: dict[str, Any]) -> list[Measurement]:
     scores = result.get("mesh") or {}
     meanings = result.get("mesh_definitions", {})
     return [(NAMES[name], Number(value, unit(name)), meanings.get(name, "")) for name, value in scores.items() if name in NAMES]
+
+
+def _certainty_scores(run: Run, result: dict[str, Any]) -> list[Measurement]:
+    """What `reconstruct mesh` has stated of the shape's errors."""
+    found = uncertainty.stored(run.path, result["steps"])
+    if found is None or found["expected_error"] is None:
+        return []
+    factor, unit = (1e3, "mm") if found["metric"] else (1.0, "")
+    low, high = found["expected_error"]["interval"]
+    scores: list[Measurement] = [
+        ("expected error", Number(factor * found["expected_error"]["value"], unit), found["definitions"]["expected_error"]),
+        ("between", Number(factor * low, unit), "lower end of the interval"),
+        ("and", Number(factor * high, unit), "upper end"),
+        ("known surface", Number(100 * found["known_share"], "%"), found["definitions"]["known_share"]),
+    ]
+    if found["scale_std"] is not None:
+        scores.append(("size", Number(100 * found["scale_std"], "%"), found["definitions"]["scale_std"]))
+        scores.append(("place", Number(factor * found["place_std"], unit), found["definitions"]["place_std"]))
+    return scores
 
 
 def _calibration_scores(path: Path | None) -> list[Measurement]:

@@ -57,28 +57,26 @@ def frontal_colours(trained: TrainedModel, points: NDArray, normals: NDArray) ->
     """(n, 3) sRGB of points [scene unit] viewed along their normals: diffuse and specular, as metals have no diffuse part."""
     field, facts = trained.model.field, trained.run.facts
     space, frame = facts.normalisation.space, facts.light
-    values = _by_chunks(lambda part, facing: _colour(field, part, facing, space, frame), points, normals)
+    values = by_chunks(lambda part, facing: _colour(field, part, facing, space, frame), points, normals)
     return np.round(255 * np.clip(values, 0, 1)).astype(np.uint8)
 
 
 def predicted_normals(trained: TrainedModel, points: NDArray) -> NDArray[np.float32]:
     """(n, 3) unit normals that the model predicts at points [scene unit]."""
     field, space = trained.model.field, trained.run.normalisation.space
-    return _by_chunks(lambda part: _normals(field, part, space), points)
+    return by_chunks(lambda part: _normals(field, part, space), points)
 
 
-def _by_chunks(function: Callable[..., Float[Array, "3 n"]], *arrays: NDArray) -> NDArray[np.float32]:
-    """(n, 3) values of a function of (3, CHUNK) arrays at the rows of (n, 3) arrays."""
-    values = np.zeros((len(arrays[0]), 3), np.float32)
-    parts = (slice(start, min(start + CHUNK, len(values))) for start in range(0, len(values), CHUNK))
-    for part, found in ahead((part, function(*(_padded(array[part]) for array in arrays))) for part in parts):
-        values[part] = np.asarray(found)[:, : part.stop - part.start].T
-    return values
+def by_chunks(function: Callable[..., Float[Array, "channels n"]], *arrays: NDArray, size: int = CHUNK) -> NDArray[np.float32]:
+    """(n, channels) values of a function of (3, size) arrays at the rows of (n, 3) arrays."""
+    count = len(arrays[0])
+    begun = (function(*(_padded(array[start : start + size], size) for array in arrays)) for start in range(0, count, size))
+    return np.concatenate([np.asarray(found).T for found in ahead(begun)])[:count]
 
 
-def _padded(points: NDArray) -> Float[Array, "3 n"]:
-    """(3, CHUNK): one compiled program serves all chunks."""
-    padded = np.zeros((3, CHUNK), np.float32)
+def _padded(points: NDArray, size: int = CHUNK) -> Float[Array, "3 n"]:
+    """(3, size): one compiled program serves all chunks."""
+    padded = np.zeros((3, size), np.float32)
     padded[:, : len(points)] = points.T
     return jnp.asarray(padded)
 

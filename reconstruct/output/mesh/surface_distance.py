@@ -10,16 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koala3d.datasets.scene import View
+from koala3d.reconstruct.output.mesh.nearest import POINTS, Nearest
 
 if TYPE_CHECKING:
     import trimesh
 
-POINTS = 100_000  # points drawn on each surface
 FLOOR = 0.02  # share of the box's height, at its floor, that is not compared
 HIDDEN_PX = 4.0
 """A point is visible if it is less than this many pixel widths behind the nearest point at its pixel and the eight around."""
 PICTURE_PX = 160  # longer side of the depth maps that determine visibility
-CANDIDATES = 4  # number of triangles of each kind that are tried for the true distance
 DEFINITIONS = {
     "chamfer_mm": "mean of accuracy and completeness",
     "accuracy_mm": "mean distance from points of the mesh to the true surface",
@@ -36,7 +35,6 @@ class Surface:
 
     mesh: "trimesh.Trimesh"
     points: NDArray[np.float64]  # (n, 3) [m]
-    faces: NDArray[np.int64]  # (n,) triangle of each point
     counts: NDArray[np.bool_]  # (n,) True inside the box, above its floor, and visible to a camera
 
     @classmethod
@@ -44,28 +42,15 @@ class Surface:
         """Points on `mesh`; those inside `box`, above its floor and visible in one of the `views` are compared."""
         from trimesh.sample import sample_surface
 
-        points, faces = sample_surface(mesh, count, seed=0)[:2]
+        points = np.asarray(sample_surface(mesh, count, seed=0)[0])
         low, high = box
         counts = ((points >= low) & (points <= high)).all(-1) & (points[:, 2] > low[2] + FLOOR * (high[2] - low[2]))
         counts &= visible(points, views)
-        return cls(mesh, np.asarray(points), np.asarray(faces), counts)
+        return cls(mesh, points, counts)
 
     def distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(n,) distance of (n, 3) points from the whole mesh [m].
-
-        Exact where the nearest triangle is among those of the `CANDIDATES` nearest drawn points, which finds large
-        triangles, and those of the nearest centroids, which finds small ones.
-        """
-        from scipy.spatial import KDTree
-        from trimesh.triangles import closest_point
-
-        found = np.full(len(points), np.inf)
-        for places, faces in ((self.points, self.faces), (self.mesh.triangles_center, np.arange(len(self.mesh.faces)))):
-            _, nearest = KDTree(places).query(points, k=min(CANDIDATES, len(places)))
-            for candidate in faces[nearest].reshape(len(points), -1).T:
-                on_triangle = closest_point(self.mesh.triangles[candidate], points)
-                found = np.minimum(found, np.linalg.norm(on_triangle - points, axis=-1))
-        return found
+        """(n,) distance of (n, 3) points from the whole mesh [m], see `Nearest`."""
+        return Nearest(self.mesh, count=len(self.points)).feet(points).distance
 
 
 def compare(
