@@ -54,10 +54,9 @@ class FieldConfig(Schema):
     outward: float = setting(
         0.0, "Predicted normals start as those of a ball about the object: weight of the position in them.", ge=0
     )
-    matter: Literal["fog", "solid", "object"] = setting(
+    matter: Literal["fog", "solid"] = setting(
         "fog",
-        "Light is lost along the way through a fog, in a solid where its density rises. `solid`: all that there is, which begins "
-        "as the hull of the masks; `object`: what is in the object's box, from the middle of the training on.",
+        "Light is lost along the way through it, or where its density rises; a solid begins as the hull of the masks.",
     )
     density_bias: float = setting(0.5, "Added to the raw density before the exponential, of a density that begins as fog.")
 

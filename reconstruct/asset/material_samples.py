@@ -112,14 +112,11 @@ def _composited(
     """Opacity and the mean material along the way from `start` against `outward`."""
     offsets = (jnp.arange(STEPS) + 0.5) * step
     points = start[:, :, None] - outward[:, :, None] * offsets
-    cloud = Cloud(points.reshape(3, -1), None, space)
-    density, material = field(cloud)
+    density, material = field(Cloud(points.reshape(3, -1), None, space))
     count = start.shape[1]
     density = density.reshape(count, STEPS)
     before = jnp.pad(density[:, :-1], ((0, 0), (1, 0)))
-    solidity = field.solidity(cloud)
-    solidity = solidity if isinstance(solidity, float) else solidity.reshape(density.shape)
-    weights = volume_weights(optical_depth(density, before, jnp.broadcast_to(step, density.shape), solidity=solidity))
+    weights = volume_weights(optical_depth(density, before, jnp.broadcast_to(step, density.shape), solid=field.solid))
     opacity = jnp.sum(weights, -1)
     stacked = material.stacked()
     mean = jnp.sum(stacked.reshape(stacked.shape[0], count, STEPS) * weights, -1) / jnp.maximum(opacity, 1e-6)

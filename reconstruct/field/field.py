@@ -17,7 +17,6 @@ from koala3d.reconstruct.field.encodings.encoding import Encoding
 from koala3d.reconstruct.field.lit import Lit
 from koala3d.reconstruct.field.mlp import Mlp
 from koala3d.reconstruct.field.outline import Outline
-from koala3d.reconstruct.field.solid import Solid, Solidity
 from koala3d.reconstruct.numerics.safe import normalise, safe_exp
 
 
@@ -28,9 +27,7 @@ class Field(eqx.Module):
     spatial: Mlp
     appearance: Appearance
     outline: Outline | None
-    """What the density begins with; None: thin fog."""
-    solid: Solid | None
-    """Where matter is solid; None: nowhere."""
+    """What the density of a solid begins with; None: a fog."""
     density_bias: float = eqx.field(static=True)
     deferred: bool = eqx.field(static=True)
     """Whether a ray is shaded once, on its composited material, or at each of its samples."""
@@ -44,14 +41,12 @@ class Field(eqx.Module):
         *,
         start: Start | None = None,
         outline: Outline | None = None,
-        solid: Solid | None = None,
     ) -> "Field":
         """Fresh weights for the given sizes.
 
         Args:
             start: where the object is, for appearances that begin differently around it.
             outline: what the density begins with; None: thin fog.
-            solid: where matter is solid; None: nowhere.
         """
         encoding_key, spatial_key, view_key = jax.random.split(key, 3)
         encoded = create_encoding(encoding_key, encoding)
@@ -64,11 +59,12 @@ class Field(eqx.Module):
             outputs=1 + appearance.heads + field.bottleneck,
             skip=field.spatial_skip,
         )
-        return cls(encoded, spatial, appearance, outline, solid, field.density_bias, field.shading == "deferred")
+        return cls(encoded, spatial, appearance, outline, field.density_bias, field.shading == "deferred")
 
-    def solidity(self, cloud: Cloud) -> Solidity:
-        """How solid matter is at each place."""
-        return 0.0 if self.solid is None else self.solid.at(cloud.centres())
+    @property
+    def solid(self) -> bool:
+        """Whether light is lost where the density rises, and not along the way; see `volume.optical_depth`."""
+        return self.outline is not None
 
     def density(self, cloud: Cloud) -> Float[Array, " n"]:
         """Density alone [1 / scene unit]."""

@@ -13,7 +13,7 @@ SURFACE = 1 / 64
 
 
 def optical_depth(
-    density: Float[Array, "*n"], before: Float[Array, "*n"], lengths: Float[Array, "*n"], *, solidity: float | Float[Array, "*n"]
+    density: Float[Array, "*n"], before: Float[Array, "*n"], lengths: Float[Array, "*n"], *, solid: bool
 ) -> Float[Array, "*n"]:
     """How much light is lost on the way to each sample of a ray, as an exponent in [0, OPAQUE].
 
@@ -28,17 +28,13 @@ def optical_depth(
 
     Args:
         density: at least 0 [1 / scene unit].
-        before: that of the sample in front; 0 in front of the first, and of the first in a solid.
+        before: that of the sample in front; 0 in front of the first.
         lengths: of the samples' intervals, at least 0 [scene unit]; nothing is lost at samples without length.
-        solidity: share of the latter in the sum of both, in [0, 1]: 0 in a fog, 1 in a solid.
+        solid: whether light is lost where the density rises.
     """
-    along = jnp.minimum(density * lengths, OPAQUE)
-    if isinstance(solidity, float) and solidity == 0:
-        return along
-    rise = jnp.where(lengths > 0, jnp.minimum(SURFACE * jnp.maximum(density - before, 0.0), OPAQUE), 0.0)
-    if isinstance(solidity, float) and solidity == 1:
-        return rise
-    return along + solidity * (rise - along)
+    if not solid:
+        return jnp.minimum(density * lengths, OPAQUE)
+    return jnp.where(lengths > 0, jnp.minimum(SURFACE * jnp.maximum(density - before, 0.0), OPAQUE), 0.0)
 
 
 def volume_weights(depth: Float[Array, "rays samples"]) -> Float[Array, "rays samples"]:

@@ -17,8 +17,6 @@ def drawn(config: Config) -> str:
     curves = {"learning rate": schedule.rate, "blur of samples": schedule.blur}
     if config.field.matter == "solid":
         curves["freedom of the shape"] = schedule.gain
-    if config.field.matter == "object":
-        curves["solidity of the object"] = schedule.solidity
     if losses.hollowness:
         curves["hollowness"] = schedule.hollowness
     if losses.fog:

@@ -7,7 +7,6 @@ from koala3d.reconstruct.field.appearance import Material
 from koala3d.reconstruct.field.field import Field
 from koala3d.reconstruct.field.lit import Lit
 from koala3d.reconstruct.field.parallax import places_on
-from koala3d.reconstruct.field.solid import Solidity
 from koala3d.reconstruct.kernels import compositing
 from koala3d.reconstruct.numerics.compiling import barrier
 from koala3d.reconstruct.numerics.volume import optical_depth, volume_weights
@@ -16,30 +15,25 @@ from koala3d.reconstruct.scene.rays import Rays
 
 
 def packed_depth(
-    density: Float[Array, " n"], samples: RaySamples, speed: Float[Array, " rays"], solidity: Solidity
+    field: Field, density: Float[Array, " n"], samples: RaySamples, speed: Float[Array, " rays"]
 ) -> Float[Array, " n"]:
     """`optical_depth` of packed samples.
 
     Args:
         speed: length of each ray's direction [scene unit per t].
     """
-    before = jnp.where(samples.slot > 0, jnp.roll(of_solid(density, solidity), 1), 0.0)
+    before = jnp.where(samples.slot > 0, jnp.roll(density, 1), 0.0)
     lengths = samples.length * speed.at[samples.ray].get(mode="promise_in_bounds")
-    return optical_depth(density, before, lengths, solidity=solidity)
+    return optical_depth(density, before, lengths, solid=field.solid)
 
 
-def of_solid(density: Float[Array, "*n"], solidity: float | Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """The density that samples behind rise from: none outside of solids."""
-    return density if isinstance(solidity, float) else jnp.where(solidity > 0, density, 0.0)
-
-
-def lost_at(t: Float[Array, "*n"], before: Float[Array, "*n"], solidity: float | Float[Array, "*n"]) -> Float[Array, "*n"]:
+def lost_at(t: Float[Array, "*n"], before: Float[Array, "*n"], *, solid: bool) -> Float[Array, "*n"]:
     """t at which a sample's light is lost: in a fog around the sample, on a solid between it and the one in front.
 
     Args:
         before: t of the sample in front; that of the sample itself in front of which there is none.
     """
-    return t + solidity * (before - t) / 2
+    return (t + before) / 2 if solid else t
 
 
 def composited(

@@ -14,10 +14,9 @@ from jaxtyping import Array, Bool, Float, Int
 from koala3d.reconstruct.field.appearance import Material
 from koala3d.reconstruct.field.cloud import Cloud
 from koala3d.reconstruct.field.field import Field
-from koala3d.reconstruct.field.solid import Solidity
 from koala3d.reconstruct.numerics.compiling import barrier
 from koala3d.reconstruct.numerics.volume import optical_depth, volume_weights
-from koala3d.reconstruct.rendering.compositing import lost_at, of_solid, values_of
+from koala3d.reconstruct.rendering.compositing import lost_at, values_of
 from koala3d.reconstruct.sampling.sampler import Sampled
 from koala3d.reconstruct.sampling.samples import RaySamples, cloud_of
 from koala3d.reconstruct.scene.rays import Rays
@@ -33,7 +32,7 @@ class _Round(eqx.Module):
     """State between two rounds."""
 
     sums: Float[Array, "rays channels"]
-    """Of each ray so far: its optical depth, the density of its last sample in a solid, then what is composited."""
+    """Of each ray so far: its optical depth, the density of its last sample, then what is composited."""
     place: Int[Array, " places"]
     """Position of each ray under way in the queue; past its end where none is."""
     slot: Int[Array, " places"]
@@ -60,9 +59,6 @@ def sums_front_to_back(
     length = jnp.pad(length, spare)
     filled = jnp.sum(samples.valid.reshape(shape), -1)
 
-    def in_rows(solidity: Solidity) -> float | Float[Array, "places together"]:
-        return solidity if isinstance(solidity, float) else solidity.reshape(places, TOGETHER)
-
     def contributions(ray: Int[Array, " places"], slot: Int[Array, " places"], active: Bool[Array, " places"], so_far: Array):
         """(places, 2 + channels): what is added to the sums of rays, of which these were found so far."""
         own = jax.tree.map(lambda v: v[ray], rays)
@@ -72,16 +68,14 @@ def sums_front_to_back(
         some = RaySamples.in_rows(own_t, extent, jnp.full(places, TOGETHER))
         cloud = barrier(cloud_of(own, some, space=space, footprint=found.footprint.of(ray)))
         density, material, normal = barrier(_evaluated(field, cloud, normals))
-        solidity = in_rows(field.solidity(cloud))
-        channels = jnp.stack([jnp.ones_like(some.t), lost_at(own_t, t_before, solidity).reshape(-1)])
+        channels = jnp.stack([jnp.ones_like(some.t), lost_at(own_t, t_before, solid=field.solid).reshape(-1)])
         channels = jnp.concatenate([channels, *values_of(field, material, own, some), normal])
         density, gone = density.reshape(places, TOGETHER), so_far[:, :2].T
-        held = of_solid(density, solidity)
-        before = jnp.concatenate([gone[1][:, None], held[:, :-1]], -1)
+        before = jnp.concatenate([gone[1][:, None], density[:, :-1]], -1)
         lengths = jnp.where(active[:, None], extent * own.speed[:, None], 0.0)
-        depth = optical_depth(density, before, lengths, solidity=solidity)
+        depth = optical_depth(density, before, lengths, solid=field.solid)
         weights = barrier(volume_weights(depth) * jnp.exp(-gone[0])[:, None])
-        more = jnp.stack([jnp.sum(depth, -1), jnp.where(active, held[:, -1] - gone[1], 0.0)])
+        more = jnp.stack([jnp.sum(depth, -1), jnp.where(active, density[:, -1] - gone[1], 0.0)])
         weighted = channels * weights.reshape(-1)
         sums = sum(weighted[:, k::TOGETHER] for k in range(TOGETHER))  # a reduction over so short an axis is three times as slow
         return jnp.concatenate([more, sums]).T

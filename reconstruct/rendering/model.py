@@ -16,7 +16,6 @@ from koala3d.reconstruct.field.field import Field
 from koala3d.reconstruct.field.lit import Lit
 from koala3d.reconstruct.field.outline import Outline
 from koala3d.reconstruct.field.parallax import Parallax, places_on
-from koala3d.reconstruct.field.solid import Solid
 from koala3d.reconstruct.numerics.compiling import barrier
 from koala3d.reconstruct.numerics.safe import linear_from_srgb, srgb_from_linear
 from koala3d.reconstruct.rendering.compositing import composited, lost_at, packed_depth, values_of
@@ -26,7 +25,7 @@ from koala3d.reconstruct.sampling.samples import RaySamples
 from koala3d.reconstruct.scene.facts import SceneFacts
 from koala3d.reconstruct.scene.rays import Rays
 
-HELD = ("blur", "grid", "outline", "solid")
+HELD = ("blur", "grid", "outline")
 """Names of the parts of a model that no gradient goes to: they follow a schedule, what a training meets, or masks."""
 
 
@@ -59,8 +58,7 @@ class Model(eqx.Module):
         field_key = jax.random.split(key, 1 + len(config.sampler.proposal_finest))[0]
         start = Start(facts.towards, facts.light, Parallax.of(config.light))
         outline = Outline.of(hull) if config.field.matter == "solid" else None
-        solid = _solid(config, facts)
-        field = Field.create(field_key, config.encoding, config.field, start=start, outline=outline, solid=solid)
+        field = Field.create(field_key, config.encoding, config.field, start=start, outline=outline)
         sampler = create(key, config, facts, possible, config.field.density_bias)
         gains = first_gains(config, facts, views)
         poses = jnp.zeros((views, 6)) if config.poses.enabled is True else None
@@ -82,12 +80,6 @@ class Model(eqx.Module):
             return self
         return eqx.tree_at(lambda m: m.field.outline.gain, self, jnp.maximum(self.field.outline.gain, gain))
 
-    def solidified(self, share: Float[Array, ""]) -> "Model":
-        """The same whose object among surroundings is at least so solid."""
-        if self.field.solid is None or self.field.solid.share is None:
-            return self
-        return eqx.tree_at(lambda m: m.field.solid.share, self, jnp.maximum(self.field.solid.share, share))
-
     def split(self) -> tuple["Model", "Model"]:
         """What is learned, and the rest (see `HELD`); `eqx.combine` joins them."""
 
@@ -95,14 +87,6 @@ class Model(eqx.Module):
             return eqx.is_inexact_array(leaf) and not any(getattr(part, "name", "") in HELD for part in path)
 
         return eqx.partition(self, jax.tree.map_with_path(is_learned, self))
-
-
-def _solid(config: Config, facts: SceneFacts) -> Solid | None:
-    """What is solid, as configured."""
-    if config.field.matter == "object":
-        assert facts.half_box is not None
-        return Solid.within(facts.half_box)
-    return Solid.throughout() if config.field.matter == "solid" else None
 
 
 def first_gains(config: Config, facts: SceneFacts, views: int) -> Float[Array, "views gains"] | None:
@@ -152,11 +136,10 @@ def render(field: Field, rays: Rays, samples: RaySamples, cloud: Cloud) -> tuple
         The rays, and the density of every sample [1 / scene unit].
     """
     density, material = barrier(field(cloud))
-    solidity = field.solidity(cloud)
-    depth = barrier(packed_depth(density, samples, rays.speed, solidity))
+    depth = barrier(packed_depth(field, density, samples, rays.speed))
     values = values_of(field, material, rays, samples)
     before = jnp.where(samples.slot > 0, jnp.roll(samples.t, 1), samples.t)
-    weights, sums = barrier(composited(depth, values, replace(samples, t=lost_at(samples.t, before, solidity))))
+    weights, sums = barrier(composited(depth, values, replace(samples, t=lost_at(samples.t, before, solid=field.solid))))
     return barrier((seen(field, rays, sums, weights), density))
 
 

@@ -5,7 +5,6 @@ those with a key):
 
     0 to 2 %        the learning rate rises (`warmup`), then it falls log-linearly to the end
     2 to 20 %       a shape that begins as the masks' hull is let go
-    20 to 50 %      an object among surroundings becomes solid
     0 to 80 %       the blur of samples shrinks (`blur_until`), and with it the finest levels come in
     from 4 %        among surroundings the grid rules out cells (`grid_from`)
     8 to 18 %       solid objects are kept dense behind their surface
@@ -33,8 +32,6 @@ FREED = (0.02, 0.2)
 """The network moves the shape ever more freely between these: sooner the light is not known, later gaps stay filled."""
 SETTLING = 0.3
 """First surfaces change from the one rule to the other over this share of the training: all at once spoils what is learned."""
-SOLID = (0.2, 0.5)
-"""An object among surroundings becomes solid between these: sooner there is no shape yet."""
 GAIN = 4.0
 """What raw densities are multiplied by from then on: with 1, gaps stay filled."""
 HOLLOWNESS_FROM = 0.08
@@ -73,10 +70,6 @@ class Schedule:
     def gain(self, progress: Progress) -> Float[Array, ""]:
         """Factor on the raw density, if the shape begins as the masks' hull."""
         return between(progress, first=0.0, last=GAIN, over=FREED)
-
-    def solidity(self, progress: Progress) -> Float[Array, ""]:
-        """How solid an object among surroundings is."""
-        return between(progress, first=0.0, last=1.0, over=SOLID)
 
     def hollowness(self, progress: Progress) -> Float[Array, ""]:
         """Weight of the hollowness."""

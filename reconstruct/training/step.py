@@ -109,9 +109,8 @@ class Step:
 
     def _blurred(self, model: Model, progress: Float[Array, ""]) -> Model:
         """The model as it is trained at this time."""
-        schedule = self.schedule
-        blur, gain, share = (of(progress).astype(jnp.float32) for of in (schedule.blur, schedule.gain, schedule.solidity))
-        return model.blurred(blur).freed(gain).solidified(share)
+        blur, gain = self.schedule.blur(progress), self.schedule.gain(progress)
+        return model.blurred(blur.astype(jnp.float32)).freed(gain.astype(jnp.float32))
 
     def begun(
         self,

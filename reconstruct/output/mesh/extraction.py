@@ -59,7 +59,7 @@ def extract(
     axes = grid_axes(trained, resolution)
     density = sample_density(trained, axes)
     side = max(axis[-1] - axis[0] for axis in axes)
-    threshold = -np.log1p(-level) / (SURFACE if trained.model.field.solid is not None else side / 128)
+    threshold = -np.log1p(-level) / (SURFACE if trained.model.field.solid else side / 128)
     if not density.min() < threshold < density.max():
         why = f"densities are {density.min():.3g} to {density.max():.3g}, the surface is at {threshold:.3g}"
         problem, advice = "there is no surface in the object's box", "train longer, or check the scene's box"

@@ -14,7 +14,6 @@ from koala3d.reconstruct.models import merged_config, of_kinds
 from koala3d.reconstruct.scene.facts import SceneFacts
 from koala3d.reconstruct.scene.light import stated
 from koala3d.reconstruct.scene.rays import Normalisation, Pixels
-from koala3d.reconstruct.scene.space import BALL
 from koala3d.reconstruct.training.decisions import (
     contraction,
     dark_start,
@@ -73,10 +72,8 @@ def decided(
     kinds: list[Kind] = ["blank" if normalisation.bounded else "surroundings"]
     kinds += [kind for kind, skip in (("unnamed", named), ("matte", shiny), ("painted", dark)) if skip.skipped]
     config, gain = exposure.decided(gains, of_kinds(config, kinds))
-    no_hull = possible is None or not possible.any() or not normalisation.bounded
-    no_box = normalisation.space is not BALL or not scene.box_is_stated
-    if {"fog": False, "solid": no_hull, "object": no_box}[config.field.matter]:
-        config = merged_config(config, {"field": {"matter": "fog"}})  # nothing says where the object is
+    if config.field.matter == "solid" and (possible is None or not possible.any() or not normalisation.bounded):
+        config = merged_config(config, {"field": {"matter": "fog"}})  # there is no shape to begin with
     facts = replace(SceneFacts.of(scene, views, normalisation), light=light)
     if gains is not None and config.train.per_image != "none":
         facts = facts.with_gains(gains.log_gains_of(views))

@@ -70,7 +70,7 @@ def test_gradient_equals_differences_in_float64() -> None:
 def rises(density: jax.Array) -> jax.Array:
     """Optical depths of samples on rays through a solid."""
     before = jnp.pad(density[..., :-1], [(0, 0)] * (density.ndim - 1) + [(1, 0)])
-    return optical_depth(density, before, jnp.ones_like(density), solidity=1.0)
+    return optical_depth(density, before, jnp.ones_like(density), solid=True)
 
 
 LEVEL = np.log(2) / SURFACE
@@ -101,7 +101,5 @@ def test_a_ray_that_touches_a_ball_loses_as_much_as_one_that_meets_it() -> None:
 
 def test_nothing_is_lost_at_samples_without_length() -> None:
     density, before, lengths = jnp.asarray([3.0, 5.0, 5.0]), jnp.asarray([1.0, 6.0, 0.0]), jnp.asarray([0.5, 0.5, 0.0])
-    np.testing.assert_allclose(optical_depth(density, before, lengths, solidity=1.0), [2 * SURFACE, 0, 0], rtol=1e-6)
-    np.testing.assert_allclose(optical_depth(density, before, lengths, solidity=0.0), [1.5, 2.5, 0], rtol=1e-6)
-    mixed = optical_depth(density, before, lengths, solidity=jnp.asarray([0.25, 1.0, 0.5]))
-    np.testing.assert_allclose(mixed, [0.75 * 1.5 + 0.25 * 2 * SURFACE, 0, 0], rtol=1e-6)
+    np.testing.assert_allclose(optical_depth(density, before, lengths, solid=True), [2 * SURFACE, 0, 0], rtol=1e-6)
+    np.testing.assert_allclose(optical_depth(density, before, lengths, solid=False), [1.5, 2.5, 0], rtol=1e-6)
