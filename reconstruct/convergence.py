@@ -17,6 +17,8 @@ OVERFIT_DB, FAR_DB, LOST_DB = 3.0, 6.0, 1.0
 lost the third since their best."""
 FALL_DB = 2.0
 """PSNR lost since its best from which a training diverges."""
+WORSE_DB = 0.3
+"""PSNR of unseen views lost from its best to the end from which a training got worse; the spread of the log is a third of that."""
 FEWEST_LINES = 4
 
 
@@ -45,6 +47,21 @@ def find(log: Sequence[dict[str, Any]], *, until_s: float | None = None) -> list
             remedy = "take more views, or look for exposure and poses that differ between views"
             return [_finding("training over-fits", where, why, remedy, {**figures, "behind_db": behind})]
     return []
+
+
+def got_worse(log: Sequence[dict[str, Any]]) -> list[Finding]:
+    """A finding if unseen views were better in the midst of a training than at its end."""
+    lines = [line for line in log if "psnr_unseen" in line]
+    if len(lines) < FEWEST_LINES:
+        return []
+    unseen = np.array([line["psnr_unseen"] for line in lines])
+    smooth = np.median(np.lib.stride_tricks.sliding_window_view(unseen, 3), -1)
+    best, last = int(smooth.argmax()), float(smooth[-1])
+    if smooth[best] - last <= WORSE_DB:
+        return []
+    why = f"they had {smooth[best]:.1f} dB after {lines[best + 1]['step']} steps and {last:.1f} dB at the end"
+    figures = {"best_db": float(smooth[best]), "last_db": last}
+    return [_finding("unseen views got worse", "the whole training", why, "try another seed: --set train.seed=1", figures)]
 
 
 def _finding(what: str, where: str, why: str, remedy: str, figures: dict[str, float]) -> Finding:

@@ -48,7 +48,8 @@ def diagnose(trained: TrainedModel, *, pictures: bool = True) -> Diagnosis:
     Args:
         pictures: also check the scene as `datasets check` does, which takes about as long as everything else.
     """
-    found = convergence.find(trained.run.log())
+    log = trained.run.log()
+    found = [*convergence.find(log), *convergence.got_worse(log)]
     residuals = rendered(trained)
     found += causes.find(residuals)
     if pictures:

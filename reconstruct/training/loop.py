@@ -10,11 +10,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from koala3d.datasets.core.console import progress
+from koala3d.datasets.core.console import hint, progress
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.scene import Scene
 from koala3d.reconstruct.config import Config
-from koala3d.reconstruct.convergence import figures_of, warn_early
+from koala3d.reconstruct.convergence import figures_of, got_worse, warn_early
 from koala3d.reconstruct.rendering.model import Model
 from koala3d.reconstruct.run import Run
 from koala3d.reconstruct.scene import poses
@@ -83,7 +83,10 @@ def _completed(training: Training, scene: Scene, prepared: float) -> dict[str, A
             shutil.rmtree(out)
         raise
     training.save()
-    last = training.run.log()[-1]
+    log = training.run.log()
+    last = log[-1]
+    for finding in got_worse(log):
+        hint(finding.line)
     skips = empty_space.with_outcome(training.skips, last)
     record.write(out, skips)
     poses.write(out, scene, training.run.normalisation, distributed.own_copy(training.state.model.poses))

@@ -1,6 +1,6 @@
 import numpy as np
 
-from koala3d.reconstruct.convergence import early_warning, figures_of, find
+from koala3d.reconstruct.convergence import early_warning, figures_of, find, got_worse
 
 
 def log(train: np.ndarray, unseen: np.ndarray | None = None, every_s: float = 5.0) -> list[dict]:
@@ -33,6 +33,17 @@ def test_over_fitting_is_named_only_where_unseen_views_get_worse() -> None:
     (found,) = find(log(GOOD + 3, falling))
     assert found.what == "training over-fits" and found.evidence["behind_db"] > 3
     assert find(log(GOOD + 4, GOOD)) == []
+
+
+def test_unseen_views_that_were_better_before_are_named() -> None:
+    rising = 18 + 4 * np.log(STEPS)
+    assert got_worse(log(GOOD, rising)) == [] == got_worse(log(GOOD)) and got_worse([]) == []
+    torn = np.where(STEPS > 6, rising - 4, rising)
+    (found,) = got_worse(log(GOOD, torn))
+    assert found.what == "unseen views got worse" and "after 500 steps" in found.why and "train.seed" in found.remedy
+    alone = rising.copy()
+    alone[3] += 9
+    assert got_worse(log(GOOD, alone)) == [], "one line is noise"
 
 
 def test_the_beginning_is_enough_but_not_its_first_seconds() -> None:
