@@ -9,6 +9,7 @@ from koala3d.calib.handeye import credible, links, surface
 from koala3d.calib.handeye.uncertainty import MAX_STD_M
 from koala3d.calib.handeye.verify import Verification
 from koala3d.calib.intrinsics import projection, splined
+from koala3d.calib.page import driver_camera
 from koala3d.datasets import pose
 from koala3d.datasets.calibration import Calibration, UncertainPose
 
@@ -115,7 +116,7 @@ def notes(calibration: Calibration) -> list[str]:
         found.append("there is no error on unseen views: without a fifth of the views the rest could not be fitted")
     bag = calibration.provenance.get("bag")
     if isinstance(bag, dict):
-        found += map(str, bag.get("notes") or ())
+        found += [*map(str, bag.get("notes") or ()), driver_camera.in_words(calibration.camera, bag.get("camera_info"))]
         if residuals.latency_s is None:
             found.append("latency of the pictures is not known: too few show the target while the arm moves")
     return [*found, *_arm_notes(calibration)]

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import DatasetError
 from koala3d.datasets.imaging import images
@@ -41,6 +42,10 @@ INTERLEAVED = {
     "yuv422": cv2.COLOR_YUV2RGB_UYVY, "uyvy": cv2.COLOR_YUV2RGB_UYVY,
     "yuv422_yuy2": cv2.COLOR_YUV2RGB_YUY2, "yuyv": cv2.COLOR_YUV2RGB_YUY2,
 }  # fmt: skip
+BROWN = ("k1", "k2", "p1", "p2", "k3")
+FISHEYE = "equidistant"
+LENSES = {"plumb_bob": BROWN, "rational_polynomial": (*BROWN, "k4", "k5", "k6"), FISHEYE: ("k1", "k2", "k3", "k4"), "": ()}
+"""Coefficients of a camera_info in their order, by the name of the model; no name: no distortion."""
 MARKS = {b"\x89PNG": ".png", b"\xff\xd8\xff": ".jpg"}
 """Suffix of what begins with these bytes."""
 
@@ -133,3 +138,31 @@ class CameraInfo:
         numbers = [float(value) for value in k], [float(value) for value in d]
         size = int(message.width), int(message.height)
         return cls(*size, message.distortion_model, *numbers, (int(roi.x_offset), int(roi.y_offset)), binning)
+
+    @classmethod
+    def from_json(cls, content: Any, *, where: object) -> "CameraInfo":
+        """From the fields of one. Raises DatasetError where they are not complete."""
+        try:
+            numbers = [[float(value) for value in content[key]] for key in ("k", "d")]
+            (left, top), (wide, high) = ([int(value) for value in content[key]] for key in ("offset", "binning"))
+            size = int(content["width"]), int(content["height"])
+            return cls(*size, str(content["model"]), *numbers, (left, top), (max(wide, 1), max(high, 1)))
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            raise DatasetError("camera_info is not complete", where=where, why=str(error)) from None
+
+    def camera(self, width: int, height: int, *, where: object) -> Camera | None:
+        """The camera of pictures of this size [px]; None if it is not calibrated, has another lens model or another size.
+
+        The message describes the whole sensor; pictures show the region from `offset` on, binned (sensor_msgs/CameraInfo).
+        """
+        names = LENSES.get(self.model, ())
+        across, down = self.binning
+        whole = (self.width - self.offset[0]) // across, (self.height - self.offset[1]) // down
+        if len(self.k) != 9 or not self.k[0] or len(self.d) > len(names) or width > whole[0] or height > whole[1]:
+            return None
+        if not any(self.offset) and (width, height) != whole:
+            return None
+        (fx, _, cx, _, fy, cy), lens = self.k[:6], dict(zip(names, self.d, strict=False))
+        centre = (cx + 0.5 - self.offset[0]) / across, (cy + 0.5 - self.offset[1]) / down
+        found = Camera(width, height, fx / across, fy / down, *centre, **lens, fisheye=self.model == FISHEYE)
+        return found.checked(where=where)

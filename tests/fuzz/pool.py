@@ -55,7 +55,7 @@ def attempt(numbers: range, folder: Path, results: list[dict[str, Any]]) -> None
         scratch = folder / "tmp"
         scratch.mkdir()
         environment = {**os.environ, "OMP_NUM_THREADS": "1", "JAX_PLATFORMS": "cpu", "TMPDIR": str(scratch)}
-        environment["KOALA_CACHE"] = str(folder / "cache")
+        environment |= {"KOALA_CACHE": str(folder / "cache"), "PYTHONPATH": str(PROGRAM.parent.parent.parent)}
         words = [sys.executable, str(PROGRAM), str(folder), *map(str, (numbers.start, numbers.stop, numbers.step))]
         with (
             tempfile.TemporaryFile() as errors,

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import captured
 import cv2
 import equinox as eqx
 import numpy as np
@@ -54,7 +55,7 @@ def sound_inputs(folder: Path) -> dict[str, Path]:
             shutil.copytree(folder / layout, folder / f"{layout}-bare")
             (folder / f"{layout}-bare" / "koala.json").unlink()
             found[f"{layout}-bare"] = folder / f"{layout}-bare"
-    makers = {
+    makers = captured.MAKERS | {
         "recording": _recording,
         "calibration": _calibration,
         "points": _points,

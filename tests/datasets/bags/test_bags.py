@@ -1,5 +1,6 @@
 """What is read of a bag: encodings of pictures, frames, URDF, clocks; and what is refused."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -8,6 +9,7 @@ import pytest
 
 from koala3d.datasets import kinematics, pose
 from koala3d.datasets.bags import choosing, reading
+from koala3d.datasets.bags.pictures import CameraInfo
 from koala3d.datasets.bags.recorded import recording_of
 from koala3d.datasets.bags.urdf import tree_of
 from koala3d.datasets.camera_model import Camera
@@ -266,3 +268,22 @@ def test_a_bag_is_converted_once(tmp_path, monkeypatch) -> None:
     first = stored(tmp_path / "bag", picture=colours(), encoding="rgb8").path
     monkeypatch.setattr(reading, "opened", None)
     assert recording_of(tmp_path / "bag") == first
+
+
+@pytest.mark.parametrize("model", [("plumb_bob", 5), ("rational_polynomial", 8), ("equidistant", 4)])
+def test_a_camera_info_is_the_camera_of_the_binned_region(model) -> None:
+    """A point in space lands where OpenCV puts it on the whole sensor, less the region's corner, over the binning."""
+    name, count = model
+    d = [0.05, -0.02, 0.001, -0.0007, 0.01, 0.02, -0.01, 0.003][:count]
+    k = np.array([[500.0, 0, 331.2], [0, 510.0, 236.7], [0, 0, 1]])
+    info = CameraInfo(640, 480, name, k.ravel().tolist(), d, (100, 60), (2, 2))
+    camera = info.camera(200, 150, where="test")
+    point = np.array([[[0.1, -0.07, 0.8]]])
+    project = cv2.fisheye.projectPoints if name == "equidistant" else cv2.projectPoints
+    whole = project(point, np.zeros(3), np.zeros(3), k, np.array(d))[0].ravel()
+    assert np.allclose(camera.project(point[0])[0], (whole + 0.5 - [100, 60]) / 2, atol=1e-6)
+    assert CameraInfo.from_json(vars(info), where="test") == info
+    assert info.camera(320, 240, where="test") is None, "larger than what is left of the sensor"
+    assert replace(info, k=[0.0] * 9).camera(200, 150, where="test") is None, "a driver without a calibration sends zeros"
+    assert replace(info, model="spherical").camera(200, 150, where="test") is None
+    assert replace(info, offset=(0, 0)).camera(200, 150, where="test") is None, "of another size"
