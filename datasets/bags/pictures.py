@@ -6,6 +6,7 @@ Compressed pictures are kept as they came. Names of encodings are those of senso
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import cv2
@@ -56,15 +57,24 @@ def decoded(message: Any, *, where: object) -> NDArray[Any]:
         return _of_file(message, where)
     encoding, wide = message.encoding, message.encoding.endswith("16")
     if encoding in INTERLEAVED:
-        return np.asarray(cv2.cvtColor(_rows(message, 2, np.uint8, where), INTERLEAVED[encoding]))
+        return _converted(_rows(message, 2, np.uint8, where), INTERLEAVED[encoding], where)
     mosaic = re.fullmatch(r"bayer_(\w{4})(8|16)", encoding)
     if mosaic and mosaic[1] in BAYER:
-        return np.asarray(cv2.cvtColor(_rows(message, 1, np.uint16 if wide else np.uint8, where), BAYER[mosaic[1]]))
+        return _converted(_rows(message, 1, np.uint16 if wide else np.uint8, where), BAYER[mosaic[1]], where)
     if encoding not in PLAIN:
         why = f"encoding {encoding!r}; read are {', '.join((*PLAIN, *INTERLEAVED))} and bayer_*"
         raise DatasetError("picture has an unknown encoding", where=where, why=why, remedy="convert it with image_proc")
     picture = _rows(message, PLAIN[encoding], np.uint16 if wide else np.uint8, where)
     return picture[..., [2, 1, 0, 3][: picture.shape[-1]]] if encoding in BLUE_FIRST else picture
+
+
+def _converted(values: NDArray[Any], code: int, where: object) -> NDArray[Any]:
+    """(height, width, 3) colours of a mosaic or of interleaved values; DatasetError for fewer than two pixels along a side."""
+    try:
+        return np.asarray(cv2.cvtColor(values, code))
+    except cv2.error as error:
+        why = f"{values.shape[1]}x{values.shape[0]} pixels, {error.err}"
+        raise DatasetError("picture cannot be converted", where=where, why=why) from None
 
 
 def _rows(message: Any, channels: int, kind: type, where: object) -> NDArray[Any]:
@@ -81,15 +91,22 @@ def _rows(message: Any, channels: int, kind: type, where: object) -> NDArray[Any
 
 
 def _of_file(message: Any, where: object) -> NDArray[Any]:
-    """The picture of a compressed message; one that is compressed as a mosaic is developed."""
-    picture = cv2.imdecode(np.asarray(message.data, np.uint8), cv2.IMREAD_UNCHANGED)
-    if picture is None:
-        raise DatasetError("picture cannot be decoded", where=where, why=f"its format says {message.format!r}")
+    """The picture of a compressed message; one that is compressed as a mosaic is developed.
+
+    It is decoded as a file, with the limits of files.
+    """
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "picture"
+        path.write_bytes(bytes(message.data))
+        try:
+            picture = images.read_stored(path)
+        except DatasetError as error:
+            why = f"{error.why}; its format says {message.format[:80]!r}"
+            raise DatasetError("picture cannot be decoded", where=where, why=why) from None
     mosaic = re.match(r"bayer_(\w{4})(8|16)", message.format)
-    if picture.ndim == 2 and mosaic and mosaic[1] in BAYER:
-        return np.asarray(cv2.cvtColor(picture, BAYER[mosaic[1]]))
-    picture = picture[..., None] if picture.ndim == 2 else picture
-    return picture[..., [2, 1, 0, 3][: picture.shape[-1]]] if picture.shape[-1] > 1 else picture
+    if picture.shape[-1] == 1 and mosaic and mosaic[1] in BAYER:
+        return _converted(picture, BAYER[mosaic[1]], where)
+    return picture
 
 
 def write(message: Any, folder: Path, name: str, *, where: object) -> tuple[str, tuple[int, int]]:

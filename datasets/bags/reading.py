@@ -76,10 +76,13 @@ def stamp_ns(header: Any) -> int:
 
 @contextmanager
 def opened(path: Path) -> Iterator[Bag]:
-    """Open a bag. Raises DatasetError if it cannot be read, ModuleNotFoundError without `rosbags`."""
+    """Open a bag. Raises DatasetError if it cannot be read, UsageError for a pipe, ModuleNotFoundError without `rosbags`."""
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
+    for one in path.iterdir() if path.is_dir() else [path]:
+        if one.exists() and not one.is_file() and not one.is_dir():  # `rosbags` would wait for a pipe's writer
+            raise UsageError("is not a file", where=one, why="it is a pipe or a device", remedy="copy the bag again")
     whole = path.is_dir() and not (path / METADATA).is_file()
     parts = sorted(path.glob("*.bag")) if whole else [path]
     with ExitStack() as stack:
