@@ -116,7 +116,9 @@ def notes(calibration: Calibration) -> list[str]:
         found.append("there is no error on unseen views: without a fifth of the views the rest could not be fitted")
     bag = calibration.provenance.get("bag")
     if isinstance(bag, dict):
-        found += [*map(str, bag.get("notes") or ()), driver_camera.in_words(calibration.camera, bag.get("camera_info"))]
+        found += map(str, bag.get("notes") or ())
+        if "camera_info" in bag:  # files of the first version of bags lack it
+            found.append(driver_camera.in_words(calibration.camera, bag["camera_info"]))
         if residuals.latency_s is None:
             found.append("latency of the pictures is not known: too few show the target while the arm moves")
     return [*found, *_arm_notes(calibration)]

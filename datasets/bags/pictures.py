@@ -95,9 +95,10 @@ def _of_file(message: Any, where: object) -> NDArray[Any]:
 
     It is decoded as a file, with the limits of files.
     """
+    data = bytes(message.data)
     with TemporaryDirectory() as folder:
-        path = Path(folder) / "picture"
-        path.write_bytes(bytes(message.data))
+        path = Path(folder) / f"picture{_suffix(data)}"
+        path.write_bytes(data)
         try:
             picture = images.read_stored(path)
         except DatasetError as error:
@@ -109,14 +110,18 @@ def _of_file(message: Any, where: object) -> NDArray[Any]:
     return picture
 
 
+def _suffix(data: bytes) -> str:
+    """Of a PNG or JPEG; empty for other data."""
+    return next((suffix for mark, suffix in MARKS.items() if data.startswith(mark)), "")
+
+
 def write(message: Any, folder: Path, name: str, *, where: object) -> tuple[str, tuple[int, int]]:
     """Write the picture of a message below `folder`; returns its path there, and width and height."""
     picture = decoded(message, where=where)
     size = picture.shape[1], picture.shape[0]
     if not hasattr(message, "encoding") and not message.format.startswith("bayer"):
         data = bytes(message.data)
-        suffix = next((suffix for mark, suffix in MARKS.items() if data.startswith(mark)), None)
-        if suffix is not None:
+        if suffix := _suffix(data):
             files.write_bytes(folder / f"{name}{suffix}", data)
             return f"{folder.name}/{name}{suffix}", size
     images.write(folder / f"{name}.png", picture)
