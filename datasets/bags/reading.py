@@ -96,8 +96,11 @@ def translated(path: Path) -> Iterator[None]:
     """Turn what `rosbags` and the libraries below it raise of a damaged bag into a DatasetError."""
     try:
         yield
-    except (KoalaError, ModuleNotFoundError, MemoryError):
+    except (KoalaError, ModuleNotFoundError):
         raise
+    except MemoryError:
+        why, remedy = "a length in it asks for more memory than there is", "copy the bag again"
+        raise DatasetError("bag cannot be read", where=path, why=why, remedy=remedy) from None
     except FileNotFoundError as error:
         raise UsageError("bag is not complete", where=path, why=str(error), remedy="copy the whole folder") from error
     except Exception as error:  # of SQLite, LZ4, Zstandard and YAML as well: their classes have no common base

@@ -4,7 +4,7 @@
 
 An input must be read or refused in one clear line, in less than 2 s of processor time and 500 MB, without touching anything
 outside its folder. `--failures` gets one line for each that was not: "number kind way: what". The same number is the same input:
-`python program.py FOLDER NUMBER NUMBER+1 1` repeats it.
+`PYTHONPATH=. python tests/fuzz/program.py FOLDER NUMBER NUMBER+1 1` repeats it.
 """
 
 import argparse

@@ -3,7 +3,6 @@
 import random
 from pathlib import Path
 
-import captured
 import numpy as np
 from sound import example_state
 
@@ -27,6 +26,7 @@ from koala3d.reconstruct import checkpoint
 from koala3d.reconstruct.output import camera_path
 from koala3d.reconstruct.output.mesh import reading
 from koala3d.reconstruct.run import Run
+from tests.fuzz import captured
 
 SCENES = ("koala", "blender", "nerfstudio", "llff", "dtu", "colmap", "metashape", "realityscan", "bop", "phone")
 

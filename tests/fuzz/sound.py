@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import captured
 import cv2
 import equinox as eqx
 import numpy as np
@@ -21,6 +20,7 @@ from koala3d.datasets.formats import ply, save_scene
 from koala3d.datasets.imaging import images
 from koala3d.datasets.recording import Frame, Recording
 from koala3d.datasets.scene import Scene, Sightings, View
+from tests.fuzz import captured
 
 PICTURES = (".png", ".jpg", ".tif", ".exr")
 LAYOUTS = ("koala", "blender", "nerfstudio", "llff", "dtu", "colmap", "colmap-text")
