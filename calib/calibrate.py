@@ -97,8 +97,7 @@ def calibrate_handeye(
         TargetError, Unobservable, CalibrationError: too few views, motion that leaves something undetermined, no fit.
         UsageError: `given` is for images of another size.
     """
-    found = solve if session.clocked is None else solve_clocked
-    return finished(found(session, given, accuracy, lens), accuracy, given is not None, allow_m)
+    return finished(solve(session, given, accuracy, lens), accuracy, given is not None, allow_m)
 
 
 @dataclass(frozen=True)
@@ -132,25 +131,17 @@ class Solution:
 
 
 def solve(session: TargetSession, given: Calibration | None = None, accuracy: Accuracy = STATED, lens: str = "auto") -> Solution:
-    """All stages up to the refinement; arguments and errors are those of `calibrate_handeye`."""
-    _check_poses(session)
-    links.check(session, accuracy)
-    return _solve_from(first_stage(session, given, lens), accuracy)
+    """All stages up to the refinement; arguments and errors are those of `calibrate_handeye`.
 
-
-def solve_clocked(
-    session: TargetSession, given: Calibration | None = None, accuracy: Accuracy = STATED, lens: str = "auto"
-) -> Solution:
-    """As `solve`, with the latency of the pictures' time stamps.
-
-    Views of a resting arm do not depend on it. Those of a moving one get the poses at their exposures, again until the latency
-    stays.
+    Of a ROS bag also the latency of the pictures' time stamps. Views of a resting arm do not depend on it. Those of a moving one
+    get the poses at their exposures, again until the latency stays.
     """
-    assert session.clocked is not None
     _check_poses(session)
     links.check(session, accuracy)
     first = first_stage(session, given, lens)
-    start, rounds = latency.guess(first.session, first.camera), 1 if session.clocked.halts else LATENCY_ROUNDS
+    if (clocked := first.session.clocked) is None:
+        return _solve_from(first, accuracy)
+    start, rounds = latency.guess(first.session, first.camera), 1 if clocked.halts else LATENCY_ROUNDS
     while True:
         solution = _solve_from(replace(first, session=first.session.at_exposure(start)), accuracy)
         found, rounds = latency.find(solution.fit, first.free, start), rounds - 1

@@ -17,6 +17,7 @@ from koala3d.calib.options import (
     Lens,
     Pictures,
     RigOptions,
+    Target,
     allowed_m,
     check_lens,
     spread,
@@ -46,14 +47,15 @@ Out = Annotated[Path, Option("--out", help="Calibration file to write (JSON).")]
 
 @app.command("intrinsics", panel=MAIN)
 @spread
-def intrinsics_command(pictures: Pictures, out: Out, lens: Lens = "auto", json: Json = False) -> None:
+def intrinsics_command(pictures: Pictures, out: Out, target: Target = None, lens: Lens = "auto", json: Json = False) -> None:
     """Calibrate the camera alone: focal lengths, principal point, distortion."""
     from koala3d.calib.calibrate import calibrate_intrinsics
     from koala3d.calib.page.finish import finish
 
     _check_out(out)
     check_lens(lens)
-    finish(calibrate_intrinsics(pictures.observe()[0], lens), out, json)
+    board = None if target is None else board_named(target)
+    finish(calibrate_intrinsics(pictures.observe(board)[0], lens), out, json)
 
 
 @app.command("handeye", panel=MAIN)

@@ -23,7 +23,16 @@ READING, CAMERA = "How the session is read", "Camera"
 ACCURACY, OFF = "How accurate the arm is", "What is off by the same in all views"
 
 RecordingPath = Annotated[
-    Path, Argument(metavar="RECORDING", help="Folder made by 'capture run' with a calibration target in view.")
+    Path,
+    Argument(metavar="RECORDING", help="Folder made by 'capture run', or a ROS bag, with a calibration target in view."),
+]
+Target = Annotated[
+    Path | None,
+    Option(
+        "--board",
+        help="Target to look for instead of the recording's own: a shipped name or a file. ROS bags need it.",
+        rich_help_panel=READING,
+    ),
 ]
 Import = Annotated[
     Path | None,
@@ -166,16 +175,19 @@ class Pictures:
 class RigOptions(Arm, Pictures):
     """A session to calibrate the whole rig from."""
 
+    target: Target = None
     intrinsics: Intrinsics = None
     lens: Lens = "auto"
 
     def read(self, board: "Board | None" = None) -> "tuple[TargetSession, Calibration | None]":
         """The session of its target, or of `board`, and the camera that is given. Options are checked before pictures."""
+        from koala3d.calib.targets.commands import board_named
         from koala3d.datasets.calibration import Calibration
 
         check_lens(self.lens)
         self._require_still()
         given = Calibration.load(self.intrinsics) if self.intrinsics is not None else None
+        board = board_named(self.target) if board is None and self.target is not None else board
         session, camera = self.observe(board)
         return session, given or camera
 

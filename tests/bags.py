@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from koala3d.datasets import pose
+from koala3d.datasets.calibration import Calibration
 from koala3d.datasets.track import exponential, logarithm
 
 KINDS = ("sqlite", "mcap", "ros1")
@@ -121,3 +122,17 @@ def at(poses: np.ndarray, times: np.ndarray, rest_s: float, move_s: float) -> np
 def jpeg(picture: np.ndarray, quality: int = 98) -> bytes:
     """A picture, red first, as a JPEG file."""
     return cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
+
+
+def apart(found: Calibration, wanted: Calibration) -> float:
+    """Largest difference of two calibrations, in the two poses and the camera, in standard deviations of the wanted."""
+    worst = 0.0
+    for name in ("flange_from_camera", "base_from_board"):
+        one, other = getattr(found, name), getattr(wanted, name)
+        shift = 1e3 * np.abs(one.matrix[:3, 3] - other.matrix[:3, 3]) / other.translation_std_mm
+        turn = np.rad2deg(np.abs(pose.rotation_vector(pose.inverse(other.matrix) @ one.matrix))) / other.rotation_std_deg
+        worst = max(worst, shift.max(), turn.max())
+    differences = [
+        abs(getattr(found.camera, name) - getattr(wanted.camera, name)) / std for name, std in wanted.camera_std.items()
+    ]
+    return max(worst, *differences)

@@ -9,6 +9,7 @@ from koala3d.calib.handeye import credible, links, surface
 from koala3d.calib.handeye.uncertainty import MAX_STD_M
 from koala3d.calib.handeye.verify import Verification
 from koala3d.calib.intrinsics import projection, splined
+from koala3d.calib.page import driver_camera
 from koala3d.datasets import pose
 from koala3d.datasets.calibration import Calibration, UncertainPose
 
@@ -116,6 +117,8 @@ def notes(calibration: Calibration) -> list[str]:
     bag = calibration.provenance.get("bag")
     if isinstance(bag, dict):
         found += map(str, bag.get("notes") or ())
+        if "camera_info" in bag:  # files of the first version of bags lack it
+            found.append(driver_camera.in_words(calibration.camera, bag["camera_info"]))
         if residuals.latency_s is None:
             found.append("latency of the pictures is not known: too few show the target while the arm moves")
     return [*found, *_arm_notes(calibration)]

@@ -150,7 +150,7 @@ def observe_recording(
     """Find the target of a recording in its frames, or another `board`. Nothing under its truth folder is read."""
     recording = Recording.open(path)
     if board is None and recording.is_of_a_bag:
-        where, remedy = recording.part(BAG).get("path"), "give it to 'calib handeye' as --board"
+        where, remedy = recording.part(BAG).get("path"), "give it as --board, to 'calib handeye' first"
         raise TargetError("a bag does not say which target it shows", where=where, remedy=remedy)
     board = board or read_board(recording.manifest.get("board"), where=f"{Path(path) / MANIFEST}, board")
     frames = [frame for frame in recording.frames if frame.split != MOVING]
@@ -184,7 +184,7 @@ def provenance_of(path: Path, board: Board) -> dict[str, Any]:
     bag = files.read_json(Path(path) / MANIFEST).get(BAG) or {}
     return {
         "recording": bag.get("path") or str(Path(path).resolve()),
-        **({"bag": {key: bag.get(key) for key in ("base", "flange", "topic", "notes")}} if bag else {}),
+        **({"bag": {key: bag.get(key) for key in ("base", "flange", "topic", "notes", "camera_info")}} if bag else {}),
         "frames_sha256": files.sha256(Path(path) / FRAMES),
         "board": board.to_json(),
         "software": {"koala-capture": version("koala-capture"), "opencv": version("opencv-contrib-python-headless")},

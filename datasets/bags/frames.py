@@ -14,6 +14,8 @@ FLANGES = ("flange", "tool0", r"\w*link8", "link_eef", r"\w*link_ee", "ee_link",
 """Names of flanges, the most exact first: ROS-Industrial's (REP 199), Franka's, xArm's, KUKA's. A prefix may be in front."""
 BASES = ("base_link", r"\w*link0", "base", "world")
 """Names of bases of arms: all stand still to each other."""
+DAY_NS, LONGEST_DAYS = 24 * 3600 * 10**9, 0.5
+"""Poses that span more are on a clock that jumped [days]."""
 MOVED_M, MOVED_RAD = 1e-6, 1e-6
 """Transforms that change by no more stand still."""
 
@@ -91,7 +93,7 @@ def _flange(tree: Tree, moving: set[str], where: object) -> str:
 def track_of(tree: Tree, base: str, flange: str, *, where: object) -> Track:
     """base_from_flange at the stamps of the frame between them that is reported most often; the others are interpolated.
 
-    Raises DatasetError if the flange is not below the base, or no poses overlap.
+    Raises DatasetError if the flange is not below the base, or no poses overlap; UsageError if the clock jumped.
     """
     chain = ancestors(tree, flange)
     if base not in chain:
@@ -101,6 +103,9 @@ def track_of(tree: Tree, base: str, flange: str, *, where: object) -> Track:
     first, last = max(edge.times_ns[0] for edge in moving), min(edge.times_ns[-1] for edge in moving)
     times = max(moving, key=lambda edge: len(edge.times_ns)).times_ns
     times = times[(times >= first) & (times <= last)]
+    if len(times) and (days := (int(times[-1]) - int(times[0])) / DAY_NS) > LONGEST_DAYS:
+        remedy = "cut the part with one clock out of the bag"
+        raise UsageError("clock of the poses jumped", where=where, why=f"they span {days:.3g} days", remedy=remedy)
     if len(times) < 2:
         raise DatasetError("poses of the arm's frames do not overlap in time", where=where, why=" -> ".join(chain))
     poses = np.broadcast_to(np.eye(4), (len(times), 4, 4))

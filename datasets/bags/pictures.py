@@ -6,12 +6,14 @@ Compressed pictures are kept as they came. Names of encodings are those of senso
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from koala3d.datasets.camera_model import Camera
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import DatasetError
 from koala3d.datasets.imaging import images
@@ -41,6 +43,10 @@ INTERLEAVED = {
     "yuv422": cv2.COLOR_YUV2RGB_UYVY, "uyvy": cv2.COLOR_YUV2RGB_UYVY,
     "yuv422_yuy2": cv2.COLOR_YUV2RGB_YUY2, "yuyv": cv2.COLOR_YUV2RGB_YUY2,
 }  # fmt: skip
+BROWN = ("k1", "k2", "p1", "p2", "k3")
+FISHEYE = "equidistant"
+LENSES = {"plumb_bob": BROWN, "rational_polynomial": (*BROWN, "k4", "k5", "k6"), FISHEYE: ("k1", "k2", "k3", "k4"), "": ()}
+"""Coefficients of a camera_info in their order, by the name of the model; no name: no distortion."""
 MARKS = {b"\x89PNG": ".png", b"\xff\xd8\xff": ".jpg"}
 """Suffix of what begins with these bytes."""
 
@@ -51,15 +57,24 @@ def decoded(message: Any, *, where: object) -> NDArray[Any]:
         return _of_file(message, where)
     encoding, wide = message.encoding, message.encoding.endswith("16")
     if encoding in INTERLEAVED:
-        return np.asarray(cv2.cvtColor(_rows(message, 2, np.uint8, where), INTERLEAVED[encoding]))
+        return _converted(_rows(message, 2, np.uint8, where), INTERLEAVED[encoding], where)
     mosaic = re.fullmatch(r"bayer_(\w{4})(8|16)", encoding)
     if mosaic and mosaic[1] in BAYER:
-        return np.asarray(cv2.cvtColor(_rows(message, 1, np.uint16 if wide else np.uint8, where), BAYER[mosaic[1]]))
+        return _converted(_rows(message, 1, np.uint16 if wide else np.uint8, where), BAYER[mosaic[1]], where)
     if encoding not in PLAIN:
         why = f"encoding {encoding!r}; read are {', '.join((*PLAIN, *INTERLEAVED))} and bayer_*"
         raise DatasetError("picture has an unknown encoding", where=where, why=why, remedy="convert it with image_proc")
     picture = _rows(message, PLAIN[encoding], np.uint16 if wide else np.uint8, where)
     return picture[..., [2, 1, 0, 3][: picture.shape[-1]]] if encoding in BLUE_FIRST else picture
+
+
+def _converted(values: NDArray[Any], code: int, where: object) -> NDArray[Any]:
+    """(height, width, 3) colours of a mosaic or of interleaved values; DatasetError for fewer than two pixels along a side."""
+    try:
+        return np.asarray(cv2.cvtColor(values, code))
+    except cv2.error as error:
+        why = f"{values.shape[1]}x{values.shape[0]} pixels, {error.err}"
+        raise DatasetError("picture cannot be converted", where=where, why=why) from None
 
 
 def _rows(message: Any, channels: int, kind: type, where: object) -> NDArray[Any]:
@@ -76,15 +91,28 @@ def _rows(message: Any, channels: int, kind: type, where: object) -> NDArray[Any
 
 
 def _of_file(message: Any, where: object) -> NDArray[Any]:
-    """The picture of a compressed message; one that is compressed as a mosaic is developed."""
-    picture = cv2.imdecode(np.asarray(message.data, np.uint8), cv2.IMREAD_UNCHANGED)
-    if picture is None:
-        raise DatasetError("picture cannot be decoded", where=where, why=f"its format says {message.format!r}")
+    """The picture of a compressed message; one that is compressed as a mosaic is developed.
+
+    It is decoded as a file, with the limits of files.
+    """
+    data = bytes(message.data)
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / f"picture{_suffix(data)}"
+        path.write_bytes(data)
+        try:
+            picture = images.read_stored(path)
+        except DatasetError as error:
+            why = f"{error.why}; its format says {message.format[:80]!r}"
+            raise DatasetError("picture cannot be decoded", where=where, why=why) from None
     mosaic = re.match(r"bayer_(\w{4})(8|16)", message.format)
-    if picture.ndim == 2 and mosaic and mosaic[1] in BAYER:
-        return np.asarray(cv2.cvtColor(picture, BAYER[mosaic[1]]))
-    picture = picture[..., None] if picture.ndim == 2 else picture
-    return picture[..., [2, 1, 0, 3][: picture.shape[-1]]] if picture.shape[-1] > 1 else picture
+    if picture.shape[-1] == 1 and mosaic and mosaic[1] in BAYER:
+        return _converted(picture, BAYER[mosaic[1]], where)
+    return picture
+
+
+def _suffix(data: bytes) -> str:
+    """Of a PNG or JPEG; empty for other data."""
+    return next((suffix for mark, suffix in MARKS.items() if data.startswith(mark)), "")
 
 
 def write(message: Any, folder: Path, name: str, *, where: object) -> tuple[str, tuple[int, int]]:
@@ -93,8 +121,7 @@ def write(message: Any, folder: Path, name: str, *, where: object) -> tuple[str,
     size = picture.shape[1], picture.shape[0]
     if not hasattr(message, "encoding") and not message.format.startswith("bayer"):
         data = bytes(message.data)
-        suffix = next((suffix for mark, suffix in MARKS.items() if data.startswith(mark)), None)
-        if suffix is not None:
+        if suffix := _suffix(data):
             files.write_bytes(folder / f"{name}{suffix}", data)
             return f"{folder.name}/{name}{suffix}", size
     images.write(folder / f"{name}.png", picture)
@@ -133,3 +160,31 @@ class CameraInfo:
         numbers = [float(value) for value in k], [float(value) for value in d]
         size = int(message.width), int(message.height)
         return cls(*size, message.distortion_model, *numbers, (int(roi.x_offset), int(roi.y_offset)), binning)
+
+    @classmethod
+    def from_json(cls, content: Any, *, where: object) -> "CameraInfo":
+        """From the fields of one. Raises DatasetError where they are not complete."""
+        try:
+            numbers = [[float(value) for value in content[key]] for key in ("k", "d")]
+            (left, top), (wide, high) = ([int(value) for value in content[key]] for key in ("offset", "binning"))
+            size = int(content["width"]), int(content["height"])
+            return cls(*size, str(content["model"]), *numbers, (left, top), (max(wide, 1), max(high, 1)))
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            raise DatasetError("camera_info is not complete", where=where, why=str(error)) from None
+
+    def camera(self, width: int, height: int, *, where: object) -> Camera | None:
+        """The camera of pictures of this size [px]; None if it is not calibrated, has another lens model or another size.
+
+        The message describes the whole sensor; pictures show the region from `offset` on, binned (sensor_msgs/CameraInfo).
+        """
+        names = LENSES.get(self.model, ())
+        across, down = self.binning
+        whole = (self.width - self.offset[0]) // across, (self.height - self.offset[1]) // down
+        if len(self.k) != 9 or not self.k[0] or len(self.d) > len(names) or width > whole[0] or height > whole[1]:
+            return None
+        if not any(self.offset) and (width, height) != whole:
+            return None
+        (fx, _, cx, _, fy, cy), lens = self.k[:6], dict(zip(names, self.d, strict=False))
+        centre = (cx + 0.5 - self.offset[0]) / across, (cy + 0.5 - self.offset[1]) / down
+        found = Camera(width, height, fx / across, fy / down, *centre, **lens, fisheye=self.model == FISHEYE)
+        return found.checked(where=where)

@@ -76,10 +76,13 @@ def stamp_ns(header: Any) -> int:
 
 @contextmanager
 def opened(path: Path) -> Iterator[Bag]:
-    """Open a bag. Raises DatasetError if it cannot be read, ModuleNotFoundError without `rosbags`."""
+    """Open a bag. Raises DatasetError if it cannot be read, UsageError for a pipe, ModuleNotFoundError without `rosbags`."""
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
+    for one in path.iterdir() if path.is_dir() else [path]:
+        if one.exists() and not one.is_file() and not one.is_dir():  # `rosbags` would wait for a pipe's writer
+            raise UsageError("is not a file", where=one, why="it is a pipe or a device", remedy="copy the bag again")
     whole = path.is_dir() and not (path / METADATA).is_file()
     parts = sorted(path.glob("*.bag")) if whole else [path]
     with ExitStack() as stack:
@@ -93,8 +96,11 @@ def translated(path: Path) -> Iterator[None]:
     """Turn what `rosbags` and the libraries below it raise of a damaged bag into a DatasetError."""
     try:
         yield
-    except (KoalaError, ModuleNotFoundError, MemoryError):
+    except (KoalaError, ModuleNotFoundError):
         raise
+    except MemoryError:
+        why, remedy = "a length in it asks for more memory than there is", "copy the bag again"
+        raise DatasetError("bag cannot be read", where=path, why=why, remedy=remedy) from None
     except FileNotFoundError as error:
         raise UsageError("bag is not complete", where=path, why=str(error), remedy="copy the whole folder") from error
     except Exception as error:  # of SQLite, LZ4, Zstandard and YAML as well: their classes have no common base

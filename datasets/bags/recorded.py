@@ -6,6 +6,7 @@ stamps; a latency is measured by `calib handeye` and applied by `datasets build`
 """
 
 import hashlib
+from collections import Counter
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -29,6 +30,8 @@ REVISION = 1
 HELD_OUT = 8
 """Every so many views, the first included, one is a test view."""
 LEAST_VIEWS = 3
+FURTHEST, LEAST_NORM = 1e9, 0.5
+"""Larger numbers are no poses [m], nor are quaternions that are shorter."""
 DESCRIPTION = "robot_description"
 """How the topic of an arm's URDF ends."""
 
@@ -99,7 +102,7 @@ def _scanned(bag: Bag, done: Count) -> _Found:
     tf, joints = bag.topics(*reading.TRANSFORMS), bag.topics(reading.JOINTS)
     texts = [topic for topic in bag.topics(reading.TEXT) if topic.endswith(DESCRIPTION)]
     infos = [topic for topic in bag.topics(reading.CAMERA_INFO) if topic.rpartition("/")[0] == above]
-    stamps, unstamped, info, text, states = [], 0, None, "", []
+    stamps, unstamped, info, text, states, senseless = [], 0, None, "", [], Counter[str]()
     samples: dict[str, tuple[str, list[tuple[int, np.ndarray]]]] = {}
     wanted = [images, *tf, *joints, *texts, *infos]
     total = sum(count for topic, count in bag.topics(*_TYPES).items() if topic in wanted)
@@ -110,7 +113,12 @@ def _scanned(bag: Bag, done: Count) -> _Found:
             unstamped += not message.stamped
         elif message.topic in tf:
             for one in message.content.transforms:
-                samples.setdefault(one.child_frame_id.lstrip("/"), (one.header.frame_id.lstrip("/"), []))[1].append(_sample(one))
+                child, parent = one.child_frame_id.lstrip("/"), one.header.frame_id.lstrip("/")
+                if (matrix := _pose(one.transform)) is None:
+                    senseless[child] += 1
+                else:
+                    when = reading.stamp_ns(one.header) or message.stamp_ns
+                    samples.setdefault(child, (parent, []))[1].append((when, matrix))
         elif message.topic in joints:
             states.append((message.stamp_ns, message.content))
         elif message.topic in texts:
@@ -118,6 +126,7 @@ def _scanned(bag: Bag, done: Count) -> _Found:
         else:
             info = pictures.CameraInfo.of(message.content)
     notes = [f"{unstamped} pictures have no time stamp: the time of their arrival is taken"] if unstamped else []
+    notes += [f"{count} transforms of {name} are no poses and are left out, as tf2 does" for name, count in senseless.items()]
     tree: Tree = {child: edge_of(parent, poses) for child, (parent, poses) in samples.items()}
     if any(edge.moves for edge in tree.values()):
         return _Found(images, np.array(stamps, np.int64), tree, "tf", info, notes)
@@ -127,10 +136,13 @@ def _scanned(bag: Bag, done: Count) -> _Found:
 _TYPES = (*reading.TRANSFORMS, reading.IMAGE, reading.COMPRESSED, reading.CAMERA_INFO, reading.JOINTS, reading.TEXT)
 
 
-def _sample(one: Any) -> tuple[int, np.ndarray]:
-    """Time stamp and pose of a transform."""
-    q, t = one.transform.rotation, one.transform.translation
-    return reading.stamp_ns(one.header), np.array(pose.from_quaternion([q.w, q.x, q.y, q.z], [t.x, t.y, t.z]))
+def _pose(transform: Any) -> np.ndarray | None:
+    """(4, 4) of a transform; None where a number is not finite or the quaternion is zero."""
+    q, t = transform.rotation, transform.translation
+    numbers = np.array([q.w, q.x, q.y, q.z, t.x, t.y, t.z], np.float64)
+    if not (np.abs(numbers) < FURTHEST).all() or np.linalg.norm(numbers[:4]) < LEAST_NORM:
+        return None
+    return np.array(pose.from_quaternion(numbers[:4], numbers[4:]))
 
 
 def _by_joints(bag: Bag, text: str, states: list[tuple[int, Any]], tree: Tree) -> Tree:

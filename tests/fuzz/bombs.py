@@ -99,3 +99,9 @@ def aliases(levels: int, width: int, key: str) -> str:
     lines = ["a0: &a0 [" + ", ".join(["0"] * width) + "]"]
     lines += [f"a{n}: &a{n} [" + ", ".join([f"*a{n - 1}"] * width) + "]" for n in range(1, levels)]
     return "\n".join([*lines, f"{key}: *a{levels - 1}"]) + "\n"
+
+
+def entities(levels: int) -> str:
+    """Declarations of XML in which `a` stands for 10 ** levels letters."""
+    lines = [f'<!ENTITY e{n} "{f"&e{n - 1};" * 10}">' for n in range(1, levels)]
+    return "".join(['<!ENTITY e0 "aaaaaaaaaa">', *lines, f'<!ENTITY a "&e{levels - 1};">'])

@@ -18,6 +18,7 @@ from structure import BAD, Structure, leaves, put
 PICTURES = (".png", ".jpg", ".tif", ".exr")
 PATH_KEYS = ("image", "mask", "file_path", "mask_path", "depth_file_path", "depth", "ply_file_path")
 BINARY = (".bin", ".npy", ".npz")
+BAGS = (".db3", ".mcap", ".bag")
 UNREAD = ("rigs.bin", "frames.bin")
 """Files of a COLMAP model that nobody reads."""
 
@@ -73,7 +74,7 @@ class Damage(Structure):
 
     def flip_bit(self) -> bool:
         """One bit of a file that is not text."""
-        path = self.pick(*PICTURES, *BINARY, ".ply", ".glb", ".stl", "") or self.any()
+        path = self.pick(*PICTURES, *BINARY, *BAGS, ".ply", ".glb", ".stl", "") or self.any()
         data = bytearray(path.read_bytes())
         if data:
             data[self.random.randrange(len(data))] ^= 1 << self.random.randrange(8)
@@ -96,7 +97,7 @@ class Damage(Structure):
 
     def huge_number(self) -> bool | None:
         """A count or size in a binary table becomes enormous."""
-        path = self.pick(".bin", ".npz")
+        path = self.pick(".bin", ".npz", *BAGS)
         if path is None:
             return None
         data = bytearray(path.read_bytes())
@@ -137,6 +138,25 @@ class Damage(Structure):
         if path is None:
             return None
         path.write_bytes(path.read_bytes().replace(b"1.jpg", self._outside_name().encode()))
+        return True
+
+    def traverse_label(self) -> bool | None:
+        """The name of a picture in the export of a capture program leaves the folder: it may stand for its namesake inside."""
+        path = next((p for p in self.files if p.name in ("cameras.xml", "cameras.csv")), None)
+        if path is None:
+            return None
+        name = b"b.JPG" if path.suffix == ".xml" else b"1.png"
+        path.write_bytes(path.read_bytes().replace(name, self._outside_name().encode()))
+        return False
+
+    def entities(self) -> bool | None:
+        """XML whose entities stand for billions of letters, or for a file outside."""
+        path = self.pick(".xml")
+        if path is None or b"<document" not in (data := path.read_bytes()):
+            return None
+        trap = self.random.choice((f'<!ENTITY a SYSTEM "{self.outside / "secret.png"}">', bombs.entities(9)))
+        trapped = data.replace(b"<document", f"<!DOCTYPE d [{trap}]><document".encode(), 1)
+        path.write_bytes(trapped.replace(b"label='1'", b"label='&a;'"))
         return True
 
     def traverse_pattern(self) -> bool | None:
@@ -249,7 +269,7 @@ class Damage(Structure):
 
     def words(self) -> bool | None:
         """Words of a table in text become others."""
-        path = self.pick(".txt", ".csv")
+        path = self.pick(".txt", ".csv", ".xml")
         if path is None:
             return None
         gap = "," if path.suffix == ".csv" else " "
@@ -348,6 +368,7 @@ WAYS: tuple[str, ...] = (
     "huge_number",
     "traverse_json",
     "traverse_table",
+    "traverse_label",
     "traverse_pattern",
     "traverse_frame",
     "link_round",
@@ -357,6 +378,7 @@ WAYS: tuple[str, ...] = (
     "nan_everywhere",
     "pickled",
     "zip_bomb",
+    "entities",
     "huge_shape",
     "words",
     "points_header",

@@ -4,7 +4,7 @@
 
 An input must be read or refused in one clear line, in less than 2 s of processor time and 500 MB, without touching anything
 outside its folder. `--failures` gets one line for each that was not: "number kind way: what". The same number is the same input:
-`python program.py FOLDER NUMBER NUMBER+1 1` repeats it.
+`PYTHONPATH=. python tests/fuzz/program.py FOLDER NUMBER NUMBER+1 1` repeats it.
 """
 
 import argparse
@@ -55,7 +55,7 @@ def attempt(numbers: range, folder: Path, results: list[dict[str, Any]]) -> None
         scratch = folder / "tmp"
         scratch.mkdir()
         environment = {**os.environ, "OMP_NUM_THREADS": "1", "JAX_PLATFORMS": "cpu", "TMPDIR": str(scratch)}
-        environment["KOALA_CACHE"] = str(folder / "cache")
+        environment |= {"KOALA_CACHE": str(folder / "cache"), "PYTHONPATH": str(PROGRAM.parent.parent.parent)}
         words = [sys.executable, str(PROGRAM), str(folder), *map(str, (numbers.start, numbers.stop, numbers.step))]
         with (
             tempfile.TemporaryFile() as errors,

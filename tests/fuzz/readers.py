@@ -12,6 +12,7 @@ from koala3d.calib.sessions.description import load_description
 from koala3d.capture.model.rig import load_rig
 from koala3d.capture.model.trajectory import load_trajectory
 from koala3d.capture.recording.check import check as check_recording
+from koala3d.datasets.bags.recorded import recording_of
 from koala3d.datasets.building.build import build, extra_truth
 from koala3d.datasets.calibration import Calibration
 from koala3d.datasets.checks.check import check
@@ -25,13 +26,14 @@ from koala3d.reconstruct import checkpoint
 from koala3d.reconstruct.output import camera_path
 from koala3d.reconstruct.output.mesh import reading
 from koala3d.reconstruct.run import Run
+from tests.fuzz import captured
 
-SCENES = ("koala", "blender", "nerfstudio", "llff", "dtu", "colmap")
+SCENES = ("koala", "blender", "nerfstudio", "llff", "dtu", "colmap", "metashape", "realityscan", "bop", "phone")
 
 
 def layout_of(kind: str) -> str | None:
     """Name of the layout of a kind of scene; None for other kinds."""
-    layout = kind.removesuffix("-bare").removesuffix("-text")
+    layout = kind.removesuffix("-bare").removesuffix("-text").partition("-")[0]
     return layout if layout in SCENES else None
 
 
@@ -77,6 +79,13 @@ def _recording(folder: Path, out: Path) -> None:
     build(folder, folder / "calibration.json", out)
 
 
+def _bag(folder: Path, out: Path) -> None:
+    recording = Recording.open(recording_of(folder))
+    assert recording.track is not None
+    for frame in recording.frames:
+        images.read(recording.image_path(frame))
+
+
 def _calibration(folder: Path, out: Path) -> None:
     calibration = Calibration.load(folder / "calibration.json")
     calibration.camera.directions(calibration.camera.pixel_centres()[::4, ::4])
@@ -117,6 +126,7 @@ def _run(folder: Path, out: Path) -> None:
 
 READERS = {
     "recording": _recording,
+    **dict.fromkeys(captured.BAGS, _bag),
     "calibration": _calibration,
     "points": _points,
     "picture": _pictures,

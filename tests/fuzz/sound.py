@@ -20,6 +20,7 @@ from koala3d.datasets.formats import ply, save_scene
 from koala3d.datasets.imaging import images
 from koala3d.datasets.recording import Frame, Recording
 from koala3d.datasets.scene import Scene, Sightings, View
+from tests.fuzz import captured
 
 PICTURES = (".png", ".jpg", ".tif", ".exr")
 LAYOUTS = ("koala", "blender", "nerfstudio", "llff", "dtu", "colmap", "colmap-text")
@@ -54,7 +55,7 @@ def sound_inputs(folder: Path) -> dict[str, Path]:
             shutil.copytree(folder / layout, folder / f"{layout}-bare")
             (folder / f"{layout}-bare" / "koala.json").unlink()
             found[f"{layout}-bare"] = folder / f"{layout}-bare"
-    makers = {
+    makers = captured.MAKERS | {
         "recording": _recording,
         "calibration": _calibration,
         "points": _points,

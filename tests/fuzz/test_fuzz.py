@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ALL, SHARE = 10_000, 132
-KINDS, WAYS = 23, 38
+KINDS, WAYS = 32, 40
 OPEN: dict[str, str] = {}
 """Faults that are known and not mended yet, as patterns of what `pool.py` says, with where to mend each."""
 
@@ -28,7 +28,7 @@ def test_corrupted_inputs_are_refused(step: int) -> None:
     wrong = [(r["number"], r["kind"], r["way"], fault) for r in results for fault in r["faults"]]
     assert not [one for one in wrong if not any(re.search(known, f"{one[1]} {one[2]}: {one[3]}") for known in OPEN)]
     refused = Counter(r["outcome"] for r in results)["refused"]
-    assert refused > 0.6 * len(results)  # the premise: most corruptions matter; the rest hit what nobody reads
+    assert refused > 0.5 * len(results)  # the premise: most corruptions matter; the rest hit what nobody reads
     share = 1 if step == 1 else 0.65
     assert len({r["kind"] for r in results}) >= share * KINDS and len({r["way"] for r in results}) >= share * WAYS
     if step == 1:  # what was mended is not excused any more

@@ -10,6 +10,7 @@ import pytest
 from koala3d.calib import cli
 from koala3d.calib.calibrate import calibrate_handeye
 from koala3d.calib.sessions.session import observe_recording
+from koala3d.capture.model.trajectory import load_trajectory
 from koala3d.datasets import pose
 from koala3d.datasets.bags.recorded import recording_of
 from koala3d.datasets.calibration import Calibration
@@ -70,20 +71,6 @@ def halting(tmp_path_factory, make_recording, photograph):
     return home / "recording", write, session
 
 
-def same(found: Calibration, wanted: Calibration) -> float:
-    """Largest difference of the two poses and the camera in standard deviations of the wanted."""
-    worst = 0.0
-    for name in ("flange_from_camera", "base_from_board"):
-        one, other = getattr(found, name), getattr(wanted, name)
-        shift = 1e3 * np.abs(one.matrix[:3, 3] - other.matrix[:3, 3]) / other.translation_std_mm
-        turn = np.rad2deg(np.abs(pose.rotation_vector(pose.inverse(other.matrix) @ one.matrix))) / other.rotation_std_deg
-        worst = max(worst, shift.max(), turn.max())
-    differences = [
-        abs(getattr(found.camera, name) - getattr(wanted.camera, name)) / std for name, std in wanted.camera_std.items()
-    ]
-    return max(worst, *differences)
-
-
 @pytest.mark.parametrize("kind", bags.KINDS)
 def test_a_bag_gives_the_calibration_of_its_session_and_the_latency(halting, kind, tmp_path, monkeypatch) -> None:
     monkeypatch.setenv("KOALA_CACHE", str(tmp_path / "cache"))
@@ -91,7 +78,7 @@ def test_a_bag_gives_the_calibration_of_its_session_and_the_latency(halting, kin
     wanted = calibrate_handeye(observe_recording(recording))
     found = calibrate_handeye(observe_recording(recording_of(write(kind)), session.board))
     assert found.residuals.views_used == wanted.residuals.views_used == 12
-    assert same(found, wanted) < 0.1
+    assert bags.apart(found, wanted) < 0.1
     late = found.residuals
     assert late.latency_s == pytest.approx(LATE_S, abs=min(0.002, 4 * late.latency_std_s))
     assert late.latency_std_s < 0.001 and late.latency_pictures >= 20
@@ -145,8 +132,20 @@ def test_the_commands_take_bags(halting, tmp_path, monkeypatch, run_inside) -> N
     files.write_text(board, json.dumps(session.board.to_json()))
     done = run_inside(cli.main, "calib", "handeye", bag, "--board", board, "--out", out)
     assert done.returncode == 0, done.stderr
+    off = re.search(
+        r"note: camera_info in the bag is off from this camera by (0\.\d\d) px rms, (\d\.\d\d) px at most\n", done.stdout
+    )
+    assert off is not None and float(off[1]) < 0.5, "the bag's camera_info is the true camera"
     assert re.search(r"latency +(19|20)\.\d\d ± 0\.\d\d ms by \d+ pictures of a moving arm", done.stdout)
     assert Calibration.load(out).provenance["recording"] == str(bag)
     verified = run_inside(cli.main, "calib", "verify", bag, "--calibration", out, "--json")
     assert verified.returncode == 0 and json.loads(verified.stdout)["rms_px"] < 0.5
     assert run_inside(cli.main, "calib", "report", out, "--out", tmp_path / "page.html").returncode == 0
+    alone = tmp_path / "camera.json"
+    assert run_inside(cli.main, "calib", "intrinsics", bag, "--board", board, "--out", alone).returncode == 0
+    assert Calibration.load(alone).camera.fx == pytest.approx(session.camera.fx, abs=4 * Calibration.load(alone).camera_std["fx"])
+    words = ("plan", bag, "--board", board, "--intrinsics", alone, "--count", 1, "--out", tmp_path / "next.yaml", "--json")
+    planned = run_inside(cli.main, "calib", *words)
+    assert planned.returncode == 0, planned.stderr
+    before, after = (json.loads(planned.stdout)[key] for key in ("before", "after"))
+    assert after[0][0] < before[0] and load_trajectory(tmp_path / "next.yaml").number == 1

@@ -1,6 +1,9 @@
 """What is read of a bag: encodings of pictures, frames, URDF, clocks; and what is refused."""
 
+import os
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -8,6 +11,7 @@ import pytest
 
 from koala3d.datasets import kinematics, pose
 from koala3d.datasets.bags import choosing, reading
+from koala3d.datasets.bags.pictures import CameraInfo
 from koala3d.datasets.bags.recorded import recording_of
 from koala3d.datasets.bags.urdf import tree_of
 from koala3d.datasets.camera_model import Camera
@@ -16,6 +20,7 @@ from koala3d.datasets.imaging import images
 from koala3d.datasets.recording import MOVING, Recording
 from koala3d.datasets.track import Track, exponential, logarithm
 from tests import bags
+from tests.fuzz import bombs
 
 SIZE = 48, 64
 TIMES = np.arange(0.0, 4.0, 0.02)
@@ -262,7 +267,92 @@ def test_a_damaged_bag_is_refused_and_leaves_nothing(tmp_path, kind) -> None:
     assert len(list((tmp_path / "cache" / "bags").iterdir())) == 1  # that of the bag as it was
 
 
+def test_a_pipe_in_a_bag_is_refused(tmp_path) -> None:
+    stored(tmp_path / "bag", picture=colours(), encoding="rgb8")
+    path = tmp_path / "bag" / "bag.db3"
+    path.unlink()
+    os.mkfifo(path)
+    with pytest.raises(UsageError, match=r"bag\.db3: is not a file \(it is a pipe or a device\)"):
+        recording_of(tmp_path / "bag")
+
+
 def test_a_bag_is_converted_once(tmp_path, monkeypatch) -> None:
     first = stored(tmp_path / "bag", picture=colours(), encoding="rgb8").path
     monkeypatch.setattr(reading, "opened", None)
     assert recording_of(tmp_path / "bag") == first
+
+
+@pytest.mark.parametrize("model", [("plumb_bob", 5), ("rational_polynomial", 8), ("equidistant", 4)])
+def test_a_camera_info_is_the_camera_of_the_binned_region(model) -> None:
+    """A point in space lands where OpenCV puts it on the whole sensor, less the region's corner, over the binning."""
+    name, count = model
+    d = [0.05, -0.02, 0.001, -0.0007, 0.01, 0.02, -0.01, 0.003][:count]
+    k = np.array([[500.0, 0, 331.2], [0, 510.0, 236.7], [0, 0, 1]])
+    info = CameraInfo(640, 480, name, k.ravel().tolist(), d, (100, 60), (2, 2))
+    camera = info.camera(200, 150, where="test")
+    point = np.array([[[0.1, -0.07, 0.8]]])
+    project = cv2.fisheye.projectPoints if name == "equidistant" else cv2.projectPoints
+    whole = project(point, np.zeros(3), np.zeros(3), k, np.array(d))[0].ravel()
+    assert np.allclose(camera.project(point[0])[0], (whole + 0.5 - [100, 60]) / 2, atol=1e-6)
+    assert CameraInfo.from_json(vars(info), where="test") == info
+    assert info.camera(320, 240, where="test") is None, "larger than what is left of the sensor"
+    assert replace(info, k=[0.0] * 9).camera(200, 150, where="test") is None, "a driver without a calibration sends zeros"
+    assert replace(info, model="spherical").camera(200, 150, where="test") is None
+    assert replace(info, offset=(0, 0)).camera(200, 150, where="test") is None, "of another size"
+
+
+def test_transforms_that_are_no_poses_are_left_out_and_counted(tmp_path) -> None:
+    """Drivers send zeros and NaN before they know better."""
+    with bags.writing(tmp_path / "bag", "mcap") as bag:
+        zero = bag.message("geometry_msgs/Quaternion", x=0.0, y=0.0, z=0.0, w=0.0)
+        none = bag.message("geometry_msgs/Vector3", x=float("nan"), y=0.0, z=0.0)
+        for number, (t, one) in enumerate(zip(TIMES, way(TIMES), strict=True)):
+            stamp = bags.START_NS + round(1e9 * t)
+            if number % 20 == 7:
+                moved = bag.message("geometry_msgs/Transform", translation=none, rotation=zero)
+                header = bag.header(stamp, "base_link")
+                sent = bag.message("geometry_msgs/TransformStamped", header=header, child_frame_id="tool0", transform=moved)
+                bag.write("/tf", stamp, bag.message("tf2_msgs/TFMessage", transforms=[sent]))
+            else:
+                bag.transform("/tf", stamp, "base_link", "tool0", one)
+            if number % 25 == 3:
+                bag.picture("/image", stamp, colours(), "rgb8")
+    recording = Recording.open(recording_of(tmp_path / "bag"))
+    assert recording.manifest["bag"]["notes"] == ["10 transforms of tool0 are no poses and are left out, as tf2 does"]
+    assert len(recording.track.times_ns) == len(TIMES) - 10
+
+
+def test_a_joint_without_a_number_is_named(tmp_path) -> None:
+    text = '<robot name="a"><joint name="turn" type="revolute"><parent link="base"/><child link="tool0"/></joint></robot>'
+    for values, words in (([0.1, np.nan, 0.3], None), ([np.nan] * 3, "no position of joint 'turn' is a number")):
+        states = [(k, SimpleNamespace(name=["turn"], position=[value])) for k, value in enumerate(values)]
+        if words is None:
+            assert tree_of(text, states, where="test")["tool0"].times_ns.tolist() == [0, 2]
+        else:
+            with pytest.raises(DatasetError, match=words):
+                tree_of(text, states, where="test")
+
+
+def test_a_clock_that_jumps_is_refused(tmp_path) -> None:
+    with bags.writing(tmp_path / "bag", "mcap") as bag:
+        bag.transform("/tf", 10**9, "base_link", "tool0", np.eye(4))
+        for t, one in zip(TIMES, way(TIMES), strict=True):
+            bag.transform("/tf", bags.START_NS + round(1e9 * t), "base_link", "tool0", one)
+            bag.picture("/image", bags.START_NS + round(1e9 * t), colours(), "rgb8")
+    with pytest.raises(UsageError, match=r"clock of the poses jumped \(they span 2.07e\+04 days\)"):
+        recording_of(tmp_path / "bag")
+
+
+@pytest.mark.parametrize(
+    ("pictures", "words"),
+    [
+        ({"data": b"", "format": "jpeg"}, "the file is empty; its format says 'jpeg'"),
+        ({"data": b"BM" + b"\0" * 200, "format": "bmp"}, "it is a BMP"),
+        ({"data": bombs.png_header(65000), "format": "png"}, "header"),
+        ({"data": bags.jpeg(colours())[:600], "format": "jpeg"}, "cannot be decoded"),
+        ({"picture": np.zeros((4, 3, 2), np.uint8), "encoding": "yuv422"}, "cannot be converted"),
+    ],
+)
+def test_pictures_that_are_none_are_refused_in_one_line(tmp_path, pictures, words) -> None:
+    with pytest.raises(DatasetError, match=rf"bag, picture \d of /camera/image_raw.*{words}"):
+        stored(tmp_path / "bag", **pictures)

@@ -1,6 +1,8 @@
+import re
 import subprocess
 import sys
 import tomllib
+from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import pytest
@@ -10,9 +12,35 @@ from koala3d.datasets.core.extras import EXTRAS, not_installed
 ROOT = Path(__file__).parents[3]
 
 
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+NEVER_MISSED = {"koala3d", "eaik", "llvmlite", "websockets"}
+"""Koala's own code does the work of EAIK; the others come with Numba and with viser, which are imported before."""
+BELOW = {"genicam": "harvesters"}
+"""Modules that come with another distribution."""
+
+
+def distributions(requirements: list[str]) -> set[str]:
+    """Names of distributions, as their own files write them."""
+    return {re.match(r"[\w.-]+", one)[0].lower() for one in requirements}
+
+
 def test_every_extra_named_exists() -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    assert set(EXTRAS.values()) <= set(project["optional-dependencies"])
+    assert set(EXTRAS.values()) <= set(PROJECT["optional-dependencies"])
+
+
+def test_every_module_that_may_be_missing_names_its_extra() -> None:
+    """What the library imports is Python's own, comes with Koala, or is brought by the extra that the message names."""
+    imports = re.compile(r"^ *(?:from|import) (\w+)", re.MULTILINE)
+    sources = [path for name in ("capture", "calib", "datasets", "reconstruct") for path in (ROOT / name).rglob("*.py")]
+    imported = {name for path in sources for name in imports.findall(path.read_text())} - sys.stdlib_module_names
+    own, known = distributions(PROJECT["dependencies"]), packages_distributions()
+    optional = {name for name in imported if name in known and not own & {one.lower() for one in known[name]}}
+    optional -= NEVER_MISSED
+    assert len(optional) > 8, "the premise: the extras are installed"
+    assert optional <= set(EXTRAS)
+    for name in optional:
+        brought = distributions(PROJECT["optional-dependencies"][EXTRAS[name]])
+        assert brought & {BELOW.get(name, one.lower()) for one in known[name]}, f"{name} is not brought by {EXTRAS[name]}"
 
 
 @pytest.mark.parametrize(("module", "expected"), [("viser", "pip install 'koala-capture[view]'"), ("pycolmap", "wheels")])
