@@ -29,6 +29,8 @@ OUTLIER = 2.0
 """Differences of so many standard deviations count half (the weights of Cauchy's distribution)."""
 LONGEST = 0.3
 """Largest turn of one step [rad]: angles of tangents bend beyond."""
+SIDES = 60
+"""Directions, evenly spread, by which places of the object are told apart: 30 degrees from one to the next."""
 STEPS = np.array([1e-5] * 3 + [1e-4] * 3)
 """For differences: lengths in radii of the object, and turns [rad]."""
 MAD = 1.4826
@@ -142,14 +144,36 @@ class Pairs:
     def covariance(self, a_from_b: Array) -> Array:
         """(6, 6) of the error of a refined motion, as `moved` takes it: shift [world unit^2], then turn.
 
-        A mask that is wrong pulls all pairs of its view, so it is not pairs that err by themselves but views: the sum over the
-        views of both sessions of the square of what each of them pulls (Cameron, Gelbach and Miller 2011).
+        What pulls has weights, which fall as a difference grows; the motion gives way by their slope, which falls faster (Huber
+        1964). And it is not pairs that err by themselves. A mask that is wrong pulls all pairs of its view; and an outline is seen too far
+        out where the object is flat and less so where it has an edge, alike by all pairs that touch it there. So it is the sum,
+        over the views of both sessions and over `SIDES` of the object, of the square of what each of them pulls (clustered in
+        three ways: Cameron, Gelbach and Miller 2011, without the parts that they subtract).
         """
         found, weights, slopes = self.linear(a_from_b)
-        normal = np.einsum("nms,nmsk,nmsl->kl", weights, slopes, slopes, optimize=True)
+        normal = np.einsum("nms,nmsk,nmsl->kl", 2 * weights**2 - weights, slopes, slopes, optimize=True)
+        if not np.linalg.eigvalsh(normal)[0] > 0:
+            return np.diag(np.full(6, np.inf))
         pulls = (weights * found)[..., None] * slopes
-        by = [np.linalg.solve(normal, pulls.sum(axes).T) for axes in ((1, 2), (0, 2))]
+        sides = np.argmax(self.normals(a_from_b) @ evenly_spread(SIDES).T, -1)
+        by_side = np.stack([np.bincount(sides.ravel(), pull, SIDES) for pull in pulls.reshape(-1, 6).T], -1)
+        groups = pulls.sum((1, 2)), pulls.sum((0, 2)), by_side[np.any(by_side != 0, -1)]
+        by = [np.linalg.solve(normal, group.T) for group in groups]
         return sum((one @ one.T * one.shape[1] / max(one.shape[1] - 6, 1) for one in by), np.zeros((6, 6)))
+
+    def normals(self, a_from_b: Array) -> Array:
+        """(n, m, 2, 3) outward unit normals, in the world of a, of the planes that touch."""
+        planes, of_a = self._planes(a_from_b), self._touching(a_from_b)[0]
+        up, out = planes.up[..., None, :], planes.out[..., None, :]
+        across = np.sum(of_a * out, -1, keepdims=True) * up - np.sum(of_a * up, -1, keepdims=True) * out
+        return across / np.linalg.norm(across, axis=-1, keepdims=True) * np.array([[1.0], [-1.0]])
+
+
+def evenly_spread(count: int) -> Array:
+    """(count, 3) unit vectors that cover the sphere evenly (Fibonacci lattice)."""
+    height = 1 - (2 * np.arange(count) + 1) / count
+    angle, across = np.arange(count) * np.pi * (3 - np.sqrt(5)), np.sqrt(1 - height**2)
+    return np.stack([across * np.cos(angle), across * np.sin(angle), height], -1)
 
 
 def spread(values: Array) -> float:

@@ -13,8 +13,9 @@ from koala3d.datasets.process.pictures.markers import Marker
 from koala3d.datasets.process.world import scale, up
 from koala3d.datasets.process.world.scale import KnownLength
 from koala3d.datasets.process.world.similarity import Similarity, upwards
-from koala3d.datasets.scene import Scene
+from koala3d.datasets.scene import TURNED, Scene
 from koala3d.datasets.structure import bounds
+from koala3d.datasets.turned.registration import Registration
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,10 @@ def moved(scene: Scene, found: Similarity, *, metric: bool) -> Scene:
     """The scene in another world. Bounds that were stated move along; others are measured anew from masks, points and cameras."""
     views = tuple(replace(found.view(view), truth={}) for view in scene.views)
     points = None if scene.points is None else found.points(scene.points)
-    new = replace(scene, views=views, points=points, metric=metric)
+    known = dict(scene.provenance)
+    if TURNED in known:
+        known[TURNED] = {**known[TURNED], **Registration.from_json(known[TURNED]).moved(found).to_json()}
+    new = replace(scene, views=views, points=points, metric=metric, provenance=known)
     if scene.box_is_stated:
         corners = found.points(bounds.corners(scene.box))
         box = np.stack([corners.min(0), corners.max(0)])
