@@ -112,7 +112,7 @@ def registered(a: Scene, b: Scene, start: Array | None = None, *, done: Step = i
         remedy = "look whether both scenes show the same object, and at their masks ('datasets mask --page')"
         raise UsageError("outlines of the two scenes fit in no pose", where=both, why=why, remedy=remedy)
     rivals = [fit for fit in fits[1:] if fit.misfit < RIVAL * max(best.misfit, FLOOR)]
-    covariance = None if rivals else pairs.covariance(best.a_from_b)
+    covariance = None if rivals else pairs.covariance(best)
     if covariance is None or np.sqrt(np.trace(covariance[3:, 3:])) > LOOSE:
         raise UsageError("how the object was turned cannot be told", where=both, why=_ambiguity(best, rivals), remedy=_ADVICE)
     _require_moved(best, of_a, of_b, both)

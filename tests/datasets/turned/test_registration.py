@@ -121,11 +121,11 @@ def odd(tmp_path_factory: pytest.TempPathFactory) -> tuple[Scene, Scene]:
 
 
 TRUE = pose.rigid(np.eye(3), CENTRE) @ pose.inverse(OVER)
-DRAWS = 6
+DRAWS = 4
 
 
 def test_stated_deviations_hold(tmp_path: Path) -> None:
-    """Squares of errors over the stated covariance are 1 in the mean, but for what 36 of them vary: by 0.24.
+    """Squares of errors over the stated covariance are 1 in the mean, but for what 24 of them vary: by 0.29.
 
     Other cameras and another motion each time."""
     squares = []
@@ -140,7 +140,7 @@ def test_stated_deviations_hold(tmp_path: Path) -> None:
         by = found.error(true)
         np.testing.assert_allclose([1e3 * np.linalg.norm(by[:3]), np.rad2deg(np.linalg.norm(by[3:]))], errors(found, true))
         squares.append(by @ np.linalg.solve(found.covariance, by) / 6)
-    assert 0.3 < np.mean(squares) < 1.6, squares
+    assert 0.25 < np.mean(squares) < 1.7, squares
 
 
 def unit(vector: np.ndarray) -> np.ndarray:
