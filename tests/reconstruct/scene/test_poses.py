@@ -25,6 +25,7 @@ from koala3d.reconstruct.scene.twists import moved
 from koala3d.reconstruct.training import batches, objective, optimiser, schedule
 from koala3d.reconstruct.training.step import Step, TrainState
 from tests import drawn
+from tests.reconstruct.two_sessions import SHIFT_M, TURN_RAD, of_two_sessions
 from tests.small import Trainable
 
 SIGMA_M, SIGMA_RAD, STEPS = 2e-3, 4e-3, 100
@@ -131,14 +132,6 @@ def test_perturbed_poses_are_recovered_from_the_pictures(
     assert np.mean(before) > 0.4 and np.mean(after) < 0.5 * np.mean(before), (before, after)
 
 
-def of_two_sessions(scene: Scene) -> Scene:
-    """The scene, the second half of whose views are of a second session, and half a millimetre and 0.2 degrees are stated."""
-    names = [view.name for view in (*scene.split("train")[2:], scene.split("test")[-1])]
-    covariance = np.diag([SIGMA_M**2 / 16] * 3 + [SIGMA_RAD**2] * 3)
-    stated = {"views": names, "middle": scene.box.mean(0).tolist(), "covariance": covariance.tolist()}
-    return replace(scene, provenance={TURNED: stated})
-
-
 def test_a_second_session_moves_as_one(ball_scene: tuple[Scene, Path], tmp_path: Path) -> None:
     scene = of_two_sessions(ball_scene[0])
     normalisation, stated = Normalisation.of(scene), scene.provenance[TURNED]
@@ -163,8 +156,8 @@ def test_a_second_session_moves_as_one(ball_scene: tuple[Scene, Path], tmp_path:
     poses.write(tmp_path, scene, normalisation, None, session)
     said = poses.read(tmp_path)
     assert said[TURNED]["in_deviations"] == pytest.approx(np.sqrt(28 / 6)) and said[TURNED].keys() == poses.OF_SESSION.keys()
-    assert said[TURNED]["moved_mm"] == pytest.approx(1e3 * SIGMA_M / 4 * np.sqrt(14)) and "gauge" not in said
-    assert said[TURNED]["turned_deg"] == pytest.approx(np.rad2deg(SIGMA_RAD) * np.sqrt(14))
+    assert said[TURNED]["moved_mm"] == pytest.approx(1e3 * SHIFT_M * np.sqrt(14)) and "gauge" not in said
+    assert said[TURNED]["turned_deg"] == pytest.approx(np.rad2deg(TURN_RAD) * np.sqrt(14))
     assert "the object's motion between both sessions was corrected by 1.87 mm" in poses.summary(tmp_path)
 
 
