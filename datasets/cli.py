@@ -213,7 +213,10 @@ def _turned_truth(scene: Path, as_json: bool) -> None:
     if (scene / MANIFEST).is_file():
         raise UsageError("nothing says what is to be compared", where=scene, remedy="add --calibration calibration.json")
     found = turned_error(load_scene(scene))
-    text = "error of the motion: {shift_mm:.3f} mm, {turn_deg:.4f} deg; stated: {shift_deviation_mm:.3f} mm, {turn_deviation_deg:.4f} deg; {in_deviations:.2f} standard deviations"
+    text = (
+        "error of the motion: {shift_mm:.3f} mm, {turn_deg:.4f} deg; stated: {shift_deviation_mm:.3f} mm, "
+        "{turn_deviation_deg:.4f} deg; {in_deviations:.2f} standard deviations"
+    )
     console.report(found, as_json=as_json, text=text.format(**found))
 
 

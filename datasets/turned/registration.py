@@ -5,13 +5,11 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from koala3d.datasets import pose
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.core.progress import Step, ignore
-from koala3d.datasets.process.world.similarity import Similarity
 from koala3d.datasets.scene import Scene
 from koala3d.datasets.turned.outlines import Outlines, outlines_of
 from koala3d.datasets.turned.search import STARTS, found, rotations, turned_by
@@ -51,13 +49,6 @@ class Registration:
     def deviations(self) -> tuple[float, float]:
         """Standard deviations over all axes: shift of the middle [world unit], and turn [rad]."""
         return float(np.sqrt(np.trace(self.covariance[:3, :3]))), float(np.sqrt(np.trace(self.covariance[3:, 3:])))
-
-    def moved(self, world: Similarity) -> "Registration":
-        """The same where both sessions are in another world."""
-        turn = block_diag(world.scale * world.rotation, world.rotation)
-        motion = world.rotation @ self.a_from_b[:3, :3] @ world.rotation.T
-        place = world.points(self.a_from_b[:3, 3]) - motion @ world.translation
-        return Registration(pose.rigid(motion, place), world.points(self.middle), turn @ self.covariance @ turn.T, self.misfit)
 
     def error(self, a_from_b: Array) -> Array:
         """(6,) by how much this motion differs from another one, the true one, as `covariance` has it."""

@@ -118,7 +118,7 @@ class Pairs:
         return pose.rigid(turn @ a_from_b[:3, :3], place)
 
     def linear(self, a_from_b: Array, border: float) -> tuple[Array, Array, Array]:
-        """(n, m, 2) differences, their (n, m, 2) weights and (n, m, 2, 7) derivatives, by the six numbers of `moved` and the border.
+        """(n, m, 2) differences, their weights and their (n, m, 2, 7) derivatives, by the six numbers of `moved` and the border.
 
         Which rays touch changes from motion to motion, but the derivatives are as if it did not: an angle is extreme at them.
         """

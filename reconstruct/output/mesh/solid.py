@@ -2,9 +2,8 @@
 
 A surface is where a ray has lost half of its light. How far it may lie from there is taken from the model: half of what lies
 between the surfaces where 16 % and 84 % are lost, one standard deviation to either side of a step that is smeared as by a normal
-distribution. The whole surface is taken to err alike, so nothing averages out: the deviation is an upper one for errors of single
-places. Where the object was turned over, one half may lie off the other by the stated deviation of that motion; it counts with the
-mean cross-section, a quarter of the surface (Cauchy).
+distribution. The whole surface is taken to err alike, so nothing averages out. Where the object was turned over, one half may lie
+off the other by the stated deviation of that motion; it counts with the mean cross-section, a quarter of the surface (Cauchy).
 """
 
 from dataclasses import dataclass

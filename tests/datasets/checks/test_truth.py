@@ -45,7 +45,7 @@ def test_the_motion_of_an_object_that_was_turned_over_is_compared(
     make_scene: Callable[..., Scene],
     tmp_path: Path,
 ) -> None:
-    """Found is the true motion and then 0.3 mm along x and 0.1 degrees about z, where 0.1 mm and 0.05 degrees are stated per axis."""
+    """Found is the true motion, then 0.3 mm along x and 0.1 degrees about z; 0.1 mm and 0.05 degrees are stated per axis."""
     rng = np.random.default_rng(0)
     in_a = rng.normal(size=(30, 3)) * 0.05 + [0.4, 0, 0.1]
     a_from_b = pose.from_rotation_vector([3.0, 0.2, -0.1], [0.1, 0.5, 0.2])
