@@ -180,11 +180,17 @@ def export(
 
 @app.command(panel=CHECK)
 def truth(
-    recording: Annotated[Path, typer.Argument(help="Folder written by 'capture run' on the simulated rig.")],
-    calibration: Annotated[Path, typer.Option(help="File written by 'calib handeye'.")],
+    recording: Annotated[
+        Path,
+        typer.Argument(help="Folder written by 'capture run' on the simulated rig, or by 'merge --turned' of two such."),
+    ],
+    calibration: Annotated[Path | None, typer.Option(help="File written by 'calib handeye', of a recording.")] = None,
     as_json: Json = False,
 ) -> None:
-    """Compare a calibration with the true geometry of a simulated rig."""
+    """Compare a calibration with the true geometry of a simulated rig, or the motion in a merged scene with the true one."""
+    if calibration is None:
+        _turned_truth(recording, as_json)
+        return
     from koala3d.datasets.calibration import Calibration
     from koala3d.datasets.checks.truth import calibration_error
 
@@ -196,6 +202,22 @@ def truth(
         numbers = "{camera_mm:.3f} mm, {camera_deg:.4f} deg (median of {frames}, arm errors included)".format(**found)
         text += f"error of the camera poses: {numbers}"
     console.report(found, as_json=as_json, text=text)
+
+
+def _turned_truth(scene: Path, as_json: bool) -> None:
+    from koala3d.datasets.checks.truth import turned_error
+    from koala3d.datasets.core.errors import UsageError
+    from koala3d.datasets.formats import load_scene
+    from koala3d.datasets.recording import MANIFEST
+
+    if (scene / MANIFEST).is_file():
+        raise UsageError("nothing says what is to be compared", where=scene, remedy="add --calibration calibration.json")
+    found = turned_error(load_scene(scene))
+    text = (
+        "error of the motion: {shift_mm:.3f} mm, {turn_deg:.4f} deg; stated: {shift_deviation_mm:.3f} mm, "
+        "{turn_deviation_deg:.4f} deg; {in_deviations:.2f} standard deviations"
+    )
+    console.report(found, as_json=as_json, text=text.format(**found))
 
 
 for part in (process, edit, segmentation):

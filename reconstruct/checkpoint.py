@@ -22,7 +22,7 @@ from koala3d.reconstruct.errors import ReconstructError
 
 KEPT = 2
 CHECKSUMS = "checksums.json"
-SCENE_SIZED = (".visits", ".per_image", ".poses")
+SCENE_SIZED = (".visits", ".per_image", ".poses", ".spread", ".by")
 """Ends of the paths of leaves whose length is the scene's, not the configuration's: taken as they were stored."""
 MODEL = ".model"
 Tree = TypeVar("Tree")

@@ -10,9 +10,13 @@ from koala3d.datasets import pose
 from koala3d.datasets.calibration import Calibration
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.formats import ply
+from koala3d.datasets.process.world.similarity import between
 from koala3d.datasets.recording import TRUTH, Recording
+from koala3d.datasets.scene import TURNED, Scene
+from koala3d.datasets.turned.registration import Registration
 
-POSES = "poses.json"
+POSES, SURFACE = "poses.json", "object.ply"
 FORMAT, VERSION = "koala-truth", 1
 
 
@@ -52,6 +56,38 @@ def calibration_error(recording: Path, calibration: Calibration) -> dict[str, An
         poses = np.stack([calibration.camera_pose(frame.base_from_flange, frame.joints) for frame in frames])
         others = _error("camera", poses, np.stack([true[frame.name] for frame in frames]))
     return {**_error("hand_eye", found.matrix, mount), "frames": len(frames), **others}
+
+
+def turned_error(scene: Scene) -> dict[str, float]:
+    """Error of the motion that a scene states of an object that was turned over, against the simulation's.
+
+    Returns:
+        `shift_mm` and `turn_deg`: how far the object's middle is off, and the angle. `shift_deviation_mm` and
+        `turn_deviation_deg`: their standard deviations over all axes, as stated. `in_deviations`: the root of the mean of the
+        error's six numbers squared in units of the stated covariance, 1 where it holds.
+
+    Raises:
+        UsageError: the scene is not one of two sessions, or a recording of it is missing or of a real rig.
+    """
+    sessions = [session.get("recording") for session in scene.provenance.get("merged", ())]
+    if TURNED not in scene.provenance or len(sessions) != 2:
+        raise UsageError("scene is not of two sessions of an object that was turned over", where=scene.name)
+    surfaces = [Path(session or "") / TRUTH / SURFACE for session in sessions]
+    if absent := [path for path in surfaces if not path.is_file()]:
+        raise UsageError("recording has no ground truth", where=absent[0], remedy="only simulated recordings have it")
+    found, (in_a, in_b) = Registration.from_json(scene.provenance[TURNED]), (ply.read_points(path) for path in surfaces)
+    if len(in_a) != len(in_b):
+        raise UsageError("recordings are of different objects", where=", ".join(map(str, surfaces)))
+    true = between(in_b, in_a)
+    by = found.error(pose.rigid(true.rotation, true.translation))
+    shift, turn = found.deviations
+    return {
+        "shift_mm": float(1e3 * np.linalg.norm(by[:3])),
+        "turn_deg": float(np.rad2deg(np.linalg.norm(by[3:]))),
+        "shift_deviation_mm": 1e3 * shift,
+        "turn_deviation_deg": float(np.rad2deg(turn)),
+        "in_deviations": float(np.sqrt(by @ np.linalg.solve(found.covariance, by) / 6)),
+    }
 
 
 def _error(what: str, found: NDArray[np.float64], true: NDArray[np.float64]) -> dict[str, float]:

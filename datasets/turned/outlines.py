@@ -40,6 +40,11 @@ class Outlines:
     extent: float
     """Mean radius of the outlines at the object [world unit]."""
 
+    @property
+    def pixel_angle(self) -> float:
+        """Of a pixel, as the object's middle is seen [rad]."""
+        return self.pixel / float(np.median(np.linalg.norm(self.centres - self.middle, axis=-1)))
+
     def some(self, views: int, corners: int) -> "Outlines":
         """Of so many views, spread evenly, with so many corners each, at most."""
         chosen = np.unique(np.linspace(0, len(self.centres) - 1, views).round().astype(int))

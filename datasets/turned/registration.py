@@ -1,7 +1,7 @@
 """How an object was moved between two sessions: found by its outlines, with the deviation of what is found, or refused."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,8 @@ NEARBY = np.deg2rad(25.0)
 """Turns about each axis from which the search also starts, if a person says roughly how the object was moved."""
 LOOSE = np.deg2rad(1.0)
 """Deviation of a turn from which it counts as not found."""
+SHAPES = {"a_from_b": (4, 4), "middle": (3,), "covariance": (6, 6)}
+"""Of the arrays that a scene states of a registration."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,10 +50,21 @@ class Registration:
         """Standard deviations over all axes: shift of the middle [world unit], and turn [rad]."""
         return float(np.sqrt(np.trace(self.covariance[:3, :3]))), float(np.sqrt(np.trace(self.covariance[3:, 3:])))
 
+    def error(self, a_from_b: Array) -> Array:
+        """(6,) by how much this motion differs from another one, the true one, as `covariance` has it."""
+        back = self.a_from_b @ pose.inverse(a_from_b)
+        shift = back[:3, :3] @ self.middle + back[:3, 3] - self.middle
+        return np.concatenate([shift, Rotation.from_matrix(back[:3, :3]).as_rotvec()])
+
+    @classmethod
+    def from_json(cls, content: dict[str, Any]) -> Self:
+        """Inverse of `to_json`; what else is in `content` is not looked at. Raises KeyError or ValueError where it is no such."""
+        arrays = (np.array(content[name], np.float64).reshape(shape) for name, shape in SHAPES.items())
+        return cls(*arrays, float(content["misfit_px"]))
+
     def to_json(self) -> dict[str, Any]:
         """Plain dictionary."""
-        arrays = {"a_from_b": self.a_from_b, "middle": self.middle, "covariance": self.covariance}
-        return {**{name: value.tolist() for name, value in arrays.items()}, "misfit_px": self.misfit}
+        return {**{name: getattr(self, name).tolist() for name in SHAPES}, "misfit_px": self.misfit}
 
 
 def require_sessions(a: Scene, b: Scene) -> None:
@@ -90,7 +103,7 @@ def registered(a: Scene, b: Scene, start: Array | None = None, *, done: Step = i
         remedy = "look whether both scenes show the same object, and at their masks ('datasets mask --page')"
         raise UsageError("outlines of the two scenes fit in no pose", where=both, why=why, remedy=remedy)
     rivals = [fit for fit in fits[1:] if fit.misfit < RIVAL * max(best.misfit, FLOOR)]
-    covariance = None if rivals else pairs.covariance(best.a_from_b)
+    covariance = None if rivals else pairs.covariance(best)
     if covariance is None or np.sqrt(np.trace(covariance[3:, 3:])) > LOOSE:
         raise UsageError("how the object was turned cannot be told", where=both, why=_ambiguity(best, rivals), remedy=_ADVICE)
     _require_moved(best, of_a, of_b, both)

@@ -4,7 +4,9 @@ A plane through the centres of two cameras is seen as a line by both. If it touc
 (the epipolar tangency constraint: Porrill and Pollard 1991; for sets of silhouettes Forbes, Nicolls, de Jager and Voigt 2006).
 Each pair of a view of one session and a view of the other has two such planes, one on either side: their angles about the line
 through the cameras, as either outline tells them, must be the same. Times the object's distance from that line the difference
-is a length. Only the convex hull counts, and a border that masks move outwards or inwards everywhere moves both angles alike.
+is a length. Only the convex hull counts. A border that masks move outwards or inwards everywhere moves both angles, the more the
+farther the camera is: by how many pixels is found along with the motion, since masks of both sessions err alike and see opposite
+sides of the object from nearby.
 """
 
 from dataclasses import dataclass
@@ -29,6 +31,12 @@ OUTLIER = 2.0
 """Differences of so many standard deviations count half (the weights of Cauchy's distribution)."""
 LONGEST = 0.3
 """Largest turn of one step [rad]: angles of tangents bend beyond."""
+SIDES = 60
+"""Directions, evenly spread, by which places of the object are told apart: 30 degrees from one to the next."""
+BORDER = 2.0
+"""Standard deviation of how far all masks are too large or too small [px], before anything is known of it."""
+OUTWARDS = np.array([1.0, -1.0])
+"""Sign by which the angles of the two planes grow where outlines move outwards."""
 STEPS = np.array([1e-5] * 3 + [1e-4] * 3)
 """For differences: lengths in radii of the object, and turns [rad]."""
 MAD = 1.4826
@@ -43,6 +51,8 @@ class Fit:
     """(4, 4)."""
     misfit: float
     """Root mean square of the differences, each clipped at `CLIPPED` pixels [pixel]; infinite where too few can be compared."""
+    border: float
+    """How far the masks' borders are outside the object's [pixel]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,20 +92,24 @@ class Pairs:
         of_b, other = _extremes(self.b.rays, np.swapaxes(planes.out @ back, 0, 1), np.swapaxes(planes.up @ back, 0, 1))
         return of_a, np.swapaxes(of_b, 0, 1), good & other.T & (planes.away > AWAY * self.a.extent)
 
-    def _differences(self, a_from_b: Array, of_a: Array, of_b: Array) -> Array:
-        """(..., n, m, 2) differences [world unit] by (..., 4, 4) motions, of the planes of rays from `_touching`."""
+    def _differences(self, a_from_b: Array, of_a: Array, of_b: Array) -> tuple[Array, Array]:
+        """(..., n, m, 2) differences [world unit] by (..., 4, 4) motions, of the planes of rays from `_touching`; and what a
+        border that is a pixel too far out adds to them."""
         planes = self._planes(a_from_b)
         of_b = of_b @ np.swapaxes(a_from_b[..., None, None, :3, :3], -1, -2)
-        angles = [
-            np.arctan2(np.sum(rays * planes.up[..., None, :], -1), np.sum(rays * planes.out[..., None, :], -1))
-            for rays in (of_a, of_b)
-        ]
-        return (angles[0] - angles[1]) * planes.away[..., None]
+        angles, borders = [], []
+        for rays, pixel in ((of_a, self.a.pixel_angle), (of_b, self.b.pixel_angle)):
+            up, out = (np.sum(rays * axis[..., None, :], -1) for axis in (planes.up, planes.out))
+            angles.append(np.arctan2(up, out))
+            borders.append(OUTWARDS * pixel / np.maximum(np.hypot(up, out), ASIDE))  # the nearer to the line the more
+        away = planes.away[..., None]
+        return (angles[0] - angles[1]) * away, (borders[0] - borders[1]) * away
 
-    def differences(self, a_from_b: Array) -> Array:
-        """(k,) differences of the tangent planes that both cameras of a pair tell [world unit]."""
+    def differences(self, a_from_b: Array, border: float = 0.0) -> Array:
+        """(k,) differences of the tangent planes that both cameras of a pair tell, without what the border adds [world unit]."""
         of_a, of_b, usable = self._touching(a_from_b)
-        return self._differences(a_from_b, of_a, of_b)[usable].ravel()
+        found, added = self._differences(a_from_b, of_a, of_b)
+        return (found - border * added)[usable].ravel()
 
     def moved(self, a_from_b: Array, by: Array) -> Array:
         """The motion and then a small one, or several: (..., 6) a shift, and a turn about the middle of a."""
@@ -103,17 +117,24 @@ class Pairs:
         place = turn @ (a_from_b[:3, 3] - self.a.middle) + self.a.middle + by[..., :3]
         return pose.rigid(turn @ a_from_b[:3, :3], place)
 
-    def linear(self, a_from_b: Array) -> tuple[Array, Array, Array]:
-        """(n, m, 2) differences, their (n, m, 2) weights and (n, m, 2, 6) derivatives after `moved`.
+    def linear(self, a_from_b: Array, border: float) -> tuple[Array, Array, Array]:
+        """(n, m, 2) differences, their weights and their (n, m, 2, 7) derivatives, by the six numbers of `moved` and the border.
 
         Which rays touch changes from motion to motion, but the derivatives are as if it did not: an angle is extreme at them.
         """
         of_a, of_b, usable = self._touching(a_from_b)
-        found = self._differences(a_from_b, of_a, of_b)
+        plain, added = self._differences(a_from_b, of_a, of_b)
         ahead = self.moved(a_from_b, np.diag(self._steps))
-        slopes = np.moveaxis(self._differences(ahead, of_a, of_b) - found, 0, -1) / self._steps
+        slopes = np.moveaxis(self._differences(ahead, of_a, of_b)[0] - plain, 0, -1) / self._steps
+        found = plain - border * added
         scale = OUTLIER * max(spread(found[usable].ravel()), 1e-9 * self.a.extent)
-        return found, usable[..., None] / (1 + (found / scale) ** 2), slopes
+        return found, usable[..., None] / (1 + (found / scale) ** 2), np.concatenate([slopes, -added[..., None]], -1)
+
+    def _normal(self, weights: Array, slopes: Array, found: Array) -> Array:
+        """(7, 7) normal equations, with what is known of the border."""
+        known = np.zeros((7, 7))
+        known[6, 6] = (spread(found[weights > 0]) / BORDER) ** 2 if (weights > 0).any() else 1.0
+        return np.einsum("nms,nmsk,nmsl->kl", weights, slopes, slopes, optimize=True) + known
 
     @property
     def _steps(self) -> Array:
@@ -121,35 +142,58 @@ class Pairs:
 
     def refined(self, a_from_b: Array, most: int) -> Fit:
         """The motion on which the outlines agree best, from one nearby, by at most so many steps of Gauss and Newton."""
+        border = 0.0
         for _ in range(most):
-            found, weights, slopes = self.linear(a_from_b)
-            normal = np.einsum("nms,nmsk,nmsl->kl", weights, slopes, slopes, optimize=True)
+            found, weights, slopes = self.linear(a_from_b, border)
+            normal = self._normal(weights, slopes, found)
             pull = np.einsum("nms,nmsk,nms->k", weights, slopes, found, optimize=True)
             by = -np.linalg.lstsq(normal + 1e-6 * np.diag(np.diag(normal)), pull, rcond=1e-12)[0]
-            by *= min(1.0, LONGEST / max(float(np.linalg.norm(by[3:])), 1e-12))
-            a_from_b = self.moved(a_from_b, by)
-            if (np.abs(by) < 0.1 * self._steps).all():
+            by *= min(1.0, LONGEST / max(float(np.linalg.norm(by[3:6])), 1e-12))
+            a_from_b, border = self.moved(a_from_b, by[:6]), float(np.clip(border + by[6], -CLIPPED, CLIPPED))
+            if (np.abs(by[:6]) < 0.1 * self._steps).all():
                 break
-        return Fit(a_from_b, self.misfit(a_from_b))
+        return Fit(a_from_b, self.misfit(a_from_b, border), border)
 
-    def misfit(self, a_from_b: Array) -> float:
+    def misfit(self, a_from_b: Array, border: float = 0.0) -> float:
         """See `Fit`."""
-        found = self.differences(a_from_b) / self.a.pixel
+        found = self.differences(a_from_b, border) / self.a.pixel
         if found.size < FEWEST_PAIRS * 2 * len(self.a.centres) * len(self.b.centres):
             return np.inf
         return float(np.sqrt(np.mean(np.minimum(np.abs(found), CLIPPED) ** 2)))
 
-    def covariance(self, a_from_b: Array) -> Array:
+    def covariance(self, fit: Fit) -> Array:
         """(6, 6) of the error of a refined motion, as `moved` takes it: shift [world unit^2], then turn.
 
-        A mask that is wrong pulls all pairs of its view, so it is not pairs that err by themselves but views: the sum over the
-        views of both sessions of the square of what each of them pulls (Cameron, Gelbach and Miller 2011).
+        What pulls has weights, which fall as a difference grows; the motion gives way by their slope, which falls faster (Huber
+        1964). And it is not pairs that err by themselves. A mask that is wrong pulls all pairs of its view; and an outline is
+        seen too far out where the object is flat and less so where it has an edge, alike by all pairs that touch it there. So it
+        is the sum, over the views of both sessions and over `SIDES` of the object, of the square of what each of them pulls
+        (clustered in three ways: Cameron, Gelbach and Miller 2011, without the parts that they subtract).
         """
-        found, weights, slopes = self.linear(a_from_b)
-        normal = np.einsum("nms,nmsk,nmsl->kl", weights, slopes, slopes, optimize=True)
+        found, weights, slopes = self.linear(fit.a_from_b, fit.border)
+        normal = self._normal(2 * weights**2 - weights, slopes, found)
+        if not np.linalg.eigvalsh(normal)[0] > 0:
+            return np.diag(np.full(6, np.inf))
         pulls = (weights * found)[..., None] * slopes
-        by = [np.linalg.solve(normal, pulls.sum(axes).T) for axes in ((1, 2), (0, 2))]
-        return sum((one @ one.T * one.shape[1] / max(one.shape[1] - 6, 1) for one in by), np.zeros((6, 6)))
+        sides = np.argmax(self.normals(fit.a_from_b) @ evenly_spread(SIDES).T, -1)
+        by_side = np.stack([np.bincount(sides.ravel(), pull, SIDES) for pull in pulls.reshape(-1, 7).T], -1)
+        groups = pulls.sum((1, 2)), pulls.sum((0, 2)), by_side[np.any(by_side != 0, -1)]
+        by = [np.linalg.solve(normal, group.T)[:6] for group in groups]
+        return sum((one @ one.T * one.shape[1] / max(one.shape[1] - 7, 1) for one in by), np.zeros((6, 6)))
+
+    def normals(self, a_from_b: Array) -> Array:
+        """(n, m, 2, 3) outward unit normals, in the world of a, of the planes that touch."""
+        planes, of_a = self._planes(a_from_b), self._touching(a_from_b)[0]
+        up, out = planes.up[..., None, :], planes.out[..., None, :]
+        across = np.sum(of_a * out, -1, keepdims=True) * up - np.sum(of_a * up, -1, keepdims=True) * out
+        return across / np.linalg.norm(across, axis=-1, keepdims=True) * np.array([[1.0], [-1.0]])
+
+
+def evenly_spread(count: int) -> Array:
+    """(count, 3) unit vectors that cover the sphere evenly (Fibonacci lattice)."""
+    height = 1 - (2 * np.arange(count) + 1) / count
+    angle, across = np.arange(count) * np.pi * (3 - np.sqrt(5)), np.sqrt(1 - height**2)
+    return np.stack([across * np.cos(angle), across * np.sin(angle), height], -1)
 
 
 def spread(values: Array) -> float:

@@ -36,7 +36,7 @@ class TrainedModel:
         run = Run.open(path)
         scene = run.scene()
         model, step = checkpoint.load_model(run.path / CHECKPOINTS, Model.create(jax.random.key(0), run.config, run.facts))
-        scene = poses.refined(scene, run.normalisation, model.poses)
+        scene = poses.refined(scene, run.normalisation, model.poses, model.session)
         return cls(run, scene, model, step, Renderer(run.normalisation, light=run.facts.light))
 
     def camera(self, view: View) -> Camera:

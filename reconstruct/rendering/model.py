@@ -24,9 +24,10 @@ from koala3d.reconstruct.sampling.sampler import Sampler
 from koala3d.reconstruct.sampling.samples import RaySamples
 from koala3d.reconstruct.scene.facts import SceneFacts
 from koala3d.reconstruct.scene.rays import Rays
+from koala3d.reconstruct.scene.twists import Session, Twists
 
-HELD = ("blur", "grid", "outline")
-"""Names of the parts of a model that no gradient goes to: they follow a schedule, what a training meets, or masks."""
+HELD = ("blur", "grid", "outline", "spread")
+"""Names of the parts of a model that no gradient goes to: they follow a schedule, what a training meets, masks, or the scene."""
 
 
 class Model(eqx.Module):
@@ -38,6 +39,8 @@ class Model(eqx.Module):
     """Logarithm of each training view's gain, one for all colours or one for each; counted from the views' mean."""
     poses: Float[Array, "views 6"] | None = None
     """Correction of each training view's pose; see `twists`."""
+    session: Session | None = None
+    """Correction of the pose of an object that was turned over, for all views of the second session."""
 
     @classmethod
     def create(
@@ -62,7 +65,14 @@ class Model(eqx.Module):
         sampler = create(key, config, facts, possible, config.field.density_bias)
         gains = first_gains(config, facts, views)
         poses = jnp.zeros((views, 6)) if config.poses.enabled is True else None
-        return cls(field, sampler, gains, poses)
+        return cls(field, sampler, gains, poses, facts.free_session)
+
+    @property
+    def twists(self) -> Twists | None:
+        """Corrections of the training views' poses, all in all; None where poses are as given."""
+        if self.session is None or self.poses is None:
+            return self.poses if self.session is None else self.session.twists
+        return self.poses + self.session.twists
 
     @property
     def log_gains(self) -> Float[Array, "views gains"]:

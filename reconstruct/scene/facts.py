@@ -6,6 +6,7 @@ Where the configuration has a value of its own for one of these, that value coun
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +14,7 @@ from koala3d.datasets.scene import Scene, View
 from koala3d.reconstruct.scene.frustum import Frustum
 from koala3d.reconstruct.scene.light import STILL, LightFrame
 from koala3d.reconstruct.scene.rays import Normalisation, direction_of_cameras
+from koala3d.reconstruct.scene.twists import Session
 
 Vector = tuple[float, float, float]
 
@@ -33,6 +35,8 @@ class SceneFacts:
     """Logarithm of each view's gain per colour, from matched points; None: not measured."""
     light: LightFrame = STILL
     """Where the lamps stand still, as it was decided."""
+    session: tuple[tuple[float, ...], ...] | None = None
+    """`Session.spread`, a row for each training view, where the pose of an object that was turned over is free; see `poses`."""
 
     @classmethod
     def of(cls, scene: Scene, views: tuple[View, ...], normalisation: Normalisation) -> "SceneFacts":
@@ -47,6 +51,13 @@ class SceneFacts:
         """The same with the (views, 3) log gains of its views."""
         return replace(self, log_gains=tuple(tuple(gain) for gain in log.tolist()))
 
+    @property
+    def free_session(self) -> Session | None:
+        """The second session before it has moved; None where none is free."""
+        if self.session is None:
+            return None
+        return Session(jnp.asarray(self.session, jnp.float32).reshape(-1, 6, 6), jnp.zeros(6))
+
     def to_json(self) -> dict[str, Any]:
         """As run.json has it."""
         return asdict(self)
@@ -59,5 +70,6 @@ class SceneFacts:
             normalisation["frustum"] = Frustum.from_json(frustum)
         vectors = {name: None if (v := content.get(name)) is None else tuple(v) for name in ("towards", "half_box")}
         gains = None if (v := content.get("log_gains")) is None else tuple(tuple(gain) for gain in v)
-        parts = {"normalisation": Normalisation(**normalisation), "log_gains": gains}
+        session = None if (v := content.get("session")) is None else tuple(tuple(row) for row in v)
+        parts = {"normalisation": Normalisation(**normalisation), "log_gains": gains, "session": session}
         return cls(**{**content, **vectors, **parts, "light": LightFrame.from_json(content.get("light"))})

@@ -1,8 +1,10 @@
-"""The training views' poses as a training refined them: for its own use, for a person and for other programs.
+"""The views' poses as a training refined them: for its own use, for a person and for other programs.
 
-RUN/poses.json    per training view the refined pose, and by how much it differs from the scene's
+RUN/poses.json    per training view the refined pose, and by how much it differs from the scene's; and by how much the motion of
+                  an object that was turned over differs from the one that the scene states
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,10 +17,10 @@ from scipy.linalg import expm
 from koala3d.datasets import pose
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import DatasetError
-from koala3d.datasets.scene import Scene, View
+from koala3d.datasets.scene import TURNED, Scene, View
 from koala3d.reconstruct.config import PoseConfig
 from koala3d.reconstruct.scene.rays import Normalisation, Pixels, pixels_over_white
-from koala3d.reconstruct.scene.twists import Twists, moved
+from koala3d.reconstruct.scene.twists import Session, Twists, moved, together
 
 FORMAT, VERSION = "koala-poses", 1
 POSES = "poses.json"
@@ -31,6 +33,13 @@ DEFINITIONS = {
     "moved_px": "mean movement of the corners of the object's box in the picture [px, at the size of the image on disk]",
 }
 """What the entries of a view mean."""
+OF_SESSION = {
+    "moved_mm": "how far the object's middle was moved from where the stated motion takes it [mm; 1/1000 world unit]",
+    "turned_deg": "angle by which its turn was corrected [deg]",
+    "in_deviations": "root mean square of the six numbers, in standard deviations of the motion as it was stated",
+}
+"""What the entries of an object that was turned over mean."""
+GAUGE = "corrections together neither move, turn nor scale all cameras (least squares, in standard deviations)"
 
 
 def corrected(world_from_camera: ArrayLike, twist: ArrayLike, scale: float) -> NDArray[np.float64]:
@@ -48,12 +57,49 @@ def corrected(world_from_camera: ArrayLike, twist: ArrayLike, scale: float) -> N
     return pose.rigid(change[:3, :3] @ world_from_camera[:3, :3], world_from_camera[:3, 3] + change[:3, 3])
 
 
-def refined(scene: Scene, normalisation: Normalisation, twists: Twists | None) -> Scene:
-    """The scene with its training views' poses corrected.
+def session_of(scene: Scene, normalisation: Normalisation) -> tuple[tuple[float, ...], ...] | None:
+    """`SceneFacts.session` of a scene of an object that was turned over; None of others.
+
+    The object's pose in the second session is known as well as the scene states, so all views of that session move together.
+    """
+    stated, views = scene.provenance.get(TURNED), scene.split("train")
+    if stated is None or not {view.name for view in views} & set(stated["views"]):
+        return None
+    spread = _spread(np.stack([view.world_from_camera[:3, 3] for view in views]), stated, normalisation)
+    second = np.isin([view.name for view in views], stated["views"])
+    return tuple(tuple(row) for row in (second[:, None, None] * spread).reshape(len(views), 36).tolist())
+
+
+def _spread(places: NDArray[np.float64], stated: Mapping[str, Any], normalisation: Normalisation) -> NDArray[np.float64]:
+    """`Session.spread` of cameras at (n, 3) `places` in the world, all of the second session."""
+    units = np.array([normalisation.scale] * 3 + [1.0] * 3)
+    local, middle = (normalisation.scale * (np.asarray(x) - normalisation.centre) for x in (places, stated["middle"]))
+    return together(local, middle, units[:, None] * np.asarray(stated["covariance"]) * units)
+
+
+def _with_session(scene: Scene, normalisation: Normalisation, session: Session | None) -> Scene:
+    """The scene with all views of the second session moved, those included that nobody trained on."""
+    if session is None:
+        return scene
+    stated = scene.provenance[TURNED]
+    by = _spread(np.zeros((1, 3)), stated, normalisation)[0] @ np.asarray(session.by, np.float64)
+    motion = corrected(np.eye(4), by, normalisation.scale)
+    back, names = pose.inverse(motion), set(stated["views"])
+
+    def of(view: View) -> View:
+        placed = None if view.base_from_world is None else view.base_from_world @ back
+        return replace(view, world_from_camera=motion @ view.world_from_camera, base_from_world=placed)
+
+    return scene.with_views(tuple(of(view) if view.name in names else view for view in scene.views))
+
+
+def refined(scene: Scene, normalisation: Normalisation, twists: Twists | None, session: Session | None = None) -> Scene:
+    """The scene with its training views' poses corrected, and with those of a second session.
 
     Raises:
         DatasetError: it has other training views than when it was trained on.
     """
+    scene = _with_session(scene, normalisation, session)
     if twists is None:
         return scene
     views = scene.split("train")
@@ -79,11 +125,11 @@ def change(before: View, after: View, box: NDArray[np.float64]) -> dict[str, flo
     return {"moved_mm": float(1e3 * distance), "turned_deg": float(np.rad2deg(angle)), "moved_px": moved_px}
 
 
-def write(run: Path, scene: Scene, normalisation: Normalisation, twists: Twists | None) -> None:
+def write(run: Path, scene: Scene, normalisation: Normalisation, twists: Twists | None, session: Session | None = None) -> None:
     """Write `poses.json` of a scene as it was given, where its poses were refined."""
-    if twists is None:
+    if twists is None and session is None:
         return
-    after = refined(scene, normalisation, twists).split("train")
+    after = refined(scene, normalisation, twists, session).split("train")
     views = []
     for old, new in zip(scene.split("train"), after, strict=True):
         matrix = new.world_from_camera
@@ -95,9 +141,22 @@ def write(run: Path, scene: Scene, normalisation: Normalisation, twists: Twists 
         "metric": scene.metric,
         "views": views,
         "definitions": DEFINITIONS,
-        "gauge": "corrections together neither move, turn nor scale all cameras (least squares, in standard deviations)",
+        **({} if twists is None else {"gauge": GAUGE}),
+        **({} if session is None else {TURNED: _moved_session(scene, normalisation, session)}),
     }
     files.write_json(run / POSES, content)
+
+
+def _moved_session(scene: Scene, normalisation: Normalisation, session: Session) -> dict[str, float]:
+    """By how much the stated motion of the object was corrected, as `OF_SESSION` has it."""
+    by = np.asarray(session.by, np.float64)
+    whole = _spread(np.array([scene.provenance[TURNED]["middle"]]), scene.provenance[TURNED], normalisation)[0] @ by
+    shift, turn = np.linalg.norm(whole[:3]) / normalisation.scale, np.linalg.norm(whole[3:])
+    return {
+        "moved_mm": float(1e3 * shift),
+        "turned_deg": float(np.rad2deg(turn)),
+        "in_deviations": float(np.sqrt(np.mean(by**2))),
+    }
 
 
 def read(run: Path) -> dict[str, Any] | None:
@@ -107,8 +166,23 @@ def read(run: Path) -> dict[str, Any] | None:
 
 
 def summary(run: Path) -> str:
-    """A sentence on the corrections of a run; empty where there are none."""
-    if (content := read(run)) is None:
+    """A sentence or two on the corrections of a run; empty where there are none."""
+    content = read(run)
+    return "" if content is None else "; ".join(filter(None, (_of_session(content), _of_each_view(content))))
+
+
+def _of_session(content: dict[str, Any]) -> str:
+    if (moved := content.get(TURNED)) is None:
+        return ""
+    unit = "mm" if content["metric"] else "thousandths of a unit"
+    return (
+        f"the object's motion between both sessions was corrected by {moved['moved_mm']:.2f} {unit} and "
+        f"{moved['turned_deg']:.3f}°, {moved['in_deviations']:.1f} of its stated deviations"
+    )
+
+
+def _of_each_view(content: dict[str, Any]) -> str:
+    if "gauge" not in content:
         return ""
     size = {name: np.array([view[name] for view in content["views"]]) for name in ("moved_mm", "turned_deg", "moved_px")}
     mean = {name: float(np.sqrt(np.mean(values**2))) for name, values in size.items()}
@@ -121,11 +195,19 @@ def summary(run: Path) -> str:
     )
 
 
-def slack(config: PoseConfig, normalisation: Normalisation) -> tuple[float, float]:
-    """How far cameras may be from where they were calibrated [scene unit], and turned [rad]; nothing where poses are as given."""
-    if config.enabled is not True:
-        return 0.0, 0.0
-    _, _, position, angle, _, _ = config.sigma(normalisation.scale)
+def slack(config: PoseConfig, normalisation: Normalisation, turned: Scene | None = None) -> tuple[float, float]:
+    """How far cameras may be from where they were calibrated [scene unit], and turned [rad]; nothing where poses are as given.
+
+    Args:
+        turned: a scene of an object that was turned over, if its motion is free: places of the object are as uncertain.
+    """
+    position = angle = 0.0
+    if config.enabled is True:
+        _, _, position, angle, _, _ = config.sigma(normalisation.scale)
+    if turned is not None:
+        covariance = np.asarray(turned.provenance[TURNED]["covariance"])
+        shift, turn = (float(np.sqrt(np.linalg.eigvalsh(part)[-1])) for part in (covariance[:3, :3], covariance[3:, 3:]))
+        position += normalisation.scale * (shift + turn * float(np.linalg.norm(np.ptp(turned.box, axis=0))) / 2)
     return FURTHEST * position, FURTHEST * angle
 
 

@@ -6,6 +6,9 @@ left about the camera's own centre o, so that a rotation turns the camera on the
     x' = o + Exp(w) (x - o) + V(w) t,    Exp(w) = I + a W + b W^2,  V(w) = I + b W + c W^2,    W v = w x v,
     a = sin(s) / s,  b = (1 - cos(s)) / s^2,  c = (s - sin(s)) / s^3,  s = |w|.
 
+All views of a session in which the object lay otherwise have one motion: six numbers, see `Session`. As the twist of one motion
+about another place changes with the place linearly, each view's twist is a matrix times these numbers, exactly.
+
 Pictures cannot tell a correction that moves, turns or scales all cameras alike from none (the gauge): seven directions of the
 views' twists together. Corrections are kept free of them, so that the scene stays where the given poses put it.
 """
@@ -13,6 +16,7 @@ views' twists together. Corrections are kept free of them, so that the scene sta
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from koala3d.reconstruct.scene.rays import Rays
@@ -23,6 +27,37 @@ SERIES_BELOW = 0.25
 """Squared angles below this take the series, whose first term left out is then 1e-8 of the sum."""
 DEPENDENT = 1e-3
 """A direction of the gauge that has less than this of its length beside the others is one of them."""
+
+
+class Session(eqx.Module):
+    """How the views of a second session move together: those of an object that was turned over."""
+
+    spread: Float[Array, "views 6 6"]
+    """From `by` to each view's twist; see `together`. Zero for views of the first session, which stay."""
+    by: Float[Array, " 6"]
+    """In standard deviations of the motion as it was stated, along the axes of its covariance."""
+
+    @property
+    def twists(self) -> Float[Array, "views 6"]:
+        """Of each training view."""
+        return self.spread @ self.by
+
+
+def together(
+    origins: Float[np.ndarray, "views 3"], middle: Float[np.ndarray, " 3"], covariance: Float[np.ndarray, "6 6"]
+) -> Float[np.ndarray, "views 6 6"]:
+    """Of cameras at `origins` that move as one: from six standard normal numbers to each one's twist.
+
+    Args:
+        covariance: of a shift of `middle` and a turn about it, in the units of twists.
+    """
+    values, axes = np.linalg.eigh(covariance)
+    root = axes * np.sqrt(np.maximum(values, 0))
+    x, y, z = (np.asarray(origins, np.float64) - middle).T
+    zero = np.zeros_like(x)
+    across = np.stack([zero, z, -y, -z, zero, x, y, -x, zero], -1).reshape(-1, 3, 3)  # across @ w = w x (origin - middle)
+    shift = root[:3] + across @ root[3:]
+    return np.concatenate([shift, np.broadcast_to(root[3:], shift.shape)], 1)
 
 
 def moved(rays: Rays, twists: Twists | None) -> Rays:

@@ -84,5 +84,5 @@ def drawn_batch(model: Model, pixels: Pixels, pixel_key: PRNGKeyArray, sample_ke
     """Random pixels, their rays as the corrected cameras see them, and the samples that the sampler chooses as data."""
     index = model.sampler.pixels(pixels, pixel_key)
     rays, colour = barrier(division.spread(pixels.take(barrier(index))))  # each device adds what it has of the pixels
-    rays = moved(rays, model.poses)
+    rays = moved(rays, model.twists)
     return barrier(division.spread(model.sampler.batch(rays, colour, sample_key)))

@@ -89,7 +89,8 @@ def _completed(training: Training, scene: Scene, prepared: float) -> dict[str, A
         hint(finding.line)
     skips = empty_space.with_outcome(training.skips, last)
     record.write(out, skips)
-    poses.write(out, scene, training.run.normalisation, distributed.own_copy(training.state.model.poses))
+    model = training.state.model
+    poses.write(out, scene, training.run.normalisation, *distributed.own_copy((model.poses, model.session)))
     return {
         "steps": training.clock.step,
         "steps_corrected": len(training.clock.legs) > 1,

@@ -61,12 +61,14 @@ class Objective:
     ) -> tuple[Float[Array, ""], tuple[Terms, Float[Array, " n"], Surfaces]]:
         """The sum of all losses; each of them, the density of every sample, and first surfaces."""
         rays, terms = batch.rays, {}
-        moving = followed(rays, model.poses)  # poses follow the picture; where else the field is looked at is data
+        moving = followed(rays, model.twists)  # poses follow the picture; where else the field is looked at is data
         found = model.sampler.sampled(batch, sample_key)
         cloud = cloud_of(moving, found.samples, space=self.place.space, footprint=found.footprint)
         rendered, density = _rendered(model, moving, found.samples, cloud)
         if model.poses is not None:
             terms |= pose_term(model.poses / jnp.array(self.pose_sigma), POSE_PRIOR)
+        if model.session is not None:
+            terms |= {"session": pose_term(model.session.by[None], POSE_PRIOR)["poses"]}
         if model.per_image is not None:
             rendered = rendered.exposed(model.log_gains[rays.view])
         background = jax.random.uniform(background_key, (rays.origins.shape[0], 3))
@@ -105,7 +107,7 @@ class Objective:
 
 
 def _rendered(model: Model, rays: Rays, samples: RaySamples, cloud: Cloud) -> tuple[Rendered, Float[Array, " n"]]:
-    return render(model.field, rays, samples, replace(cloud, followed=model.poses is not None))
+    return render(model.field, rays, samples, replace(cloud, followed=model.twists is not None))
 
 
 def photometric(

@@ -93,6 +93,9 @@ class Optimiser:
         update, moments = descent(_parameters(gradient), moments, finite)
         rates = jax.tree.map_with_path(lambda path, _: jnp.where(finite, rate * self._share(path), 0.0), learned)
         new = jax.tree.map(lambda p, u, r: p - r * u, learned, update, rates)
+        if learned.session is not None:
+            by, step = learned.session.by, self.schedule.pose_rate(progress) * _parameters(update).session.by
+            new = eqx.tree_at(lambda m: m.session.by, new, jnp.where(finite, by - step, by))
         if learned.poses is not None:
             sigma = jnp.array(self.pose_sigma)
             step = self.schedule.pose_rate(progress) * without_gauge(_parameters(update).poses, origins, sigma)

@@ -63,14 +63,17 @@ def prepare(
     pixels, pool = training_pixels(views, normalisation, config.scale, copies)
     matches = matches_of(scene, views, config) if fresh else None
     skips: list[Skip] = []
+    session = poses.session_of(scene, normalisation) if known is None and config.poses.enabled is not False else None
     if fresh:
         config, refined = pose_decision.decided(config, matches, scene, normalisation)
         skips.append(refined)
-    possible = _possible_cells(config, pixels, pool, views, normalisation)
+    free = session is not None or (known is not None and known.session is not None)
+    slack = poses.slack(config.poses, normalisation, scene if free else None)
+    possible = _possible_cells(config, pixels, pool, views, normalisation, slack)
     facts = known
     if facts is None:
         config, facts, others = decided(scene, pixels, normalisation, possible, matches, config)
-        skips = [*others, *skips]
+        facts, skips = replace(facts, session=session), [*others, *skips]
     pixels = pixels.under(facts.light, views)
     if fresh:
         config = sized(config, facts, pixels)
@@ -86,12 +89,16 @@ def prepare(
 
 
 def _possible_cells(
-    config: Config, pixels: Pixels, pool: Pool | None, views: tuple[View, ...], normalisation: Normalisation
+    config: Config,
+    pixels: Pixels,
+    pool: Pool | None,
+    views: tuple[View, ...],
+    normalisation: Normalisation,
+    slack: tuple[float, float],
 ) -> NDArray[np.bool_] | None:
     """See `Sampler.possible_cells`; from small pictures where there are too many pixels to hold."""
     if pool is not None and normalisation.bounded:
         config = config.model_copy(update={"scale": pool.overview_scale})
         with progress("reading masks", len(views), "images") as shown:
             pixels = Pixels.load(views, normalisation, config.scale, shown)
-    slack = poses.slack(config.poses, normalisation)
     return sampler_type(config.sampler).possible_cells(config, pixels, views, normalisation, slack)

@@ -23,7 +23,7 @@ from koala3d.capture.model.flaws import Flaws
 from koala3d.capture.sim.controller.handle import ControllerHandle
 from koala3d.datasets.core.errors import UsageError
 
-START_TIMEOUT_S = 20.0
+START_TIMEOUT_S = 180.0
 HOME = (0.0, -np.pi / 2, 0.0, -np.pi / 2, 0.0, 0.0)  # joint angles at the start: stretched upwards [rad]
 BUILT_MM, BUILT_DEG = 0.5, 0.05
 """Standard deviations of the links of an arm as built from the nominal ones; they move the flange by millimetres."""

@@ -3,9 +3,12 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
+from koala3d.datasets import pose
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.formats import assemble
 from koala3d.datasets.process.pictures import markers
@@ -13,7 +16,7 @@ from koala3d.datasets.process.pictures.markers import Marker
 from koala3d.datasets.process.world import scale, up
 from koala3d.datasets.process.world.scale import KnownLength
 from koala3d.datasets.process.world.similarity import Similarity, upwards
-from koala3d.datasets.scene import Scene
+from koala3d.datasets.scene import TURNED, Scene
 from koala3d.datasets.structure import bounds
 
 
@@ -104,11 +107,23 @@ def _upright(scene: Scene, placed: Sequence[markers.PlacedMarker], kind: str) ->
     return Similarity(1.0, rotation, -rotation @ origin), evidence
 
 
+def _motion_in(world: Similarity, stated: Mapping[str, Any]) -> dict[str, Any]:
+    """What a scene states of the motion of an object that was turned over, where both sessions are in another world."""
+    a_from_b, middle, covariance = (np.asarray(stated[name]) for name in ("a_from_b", "middle", "covariance"))
+    turn, units = world.rotation @ a_from_b[:3, :3] @ world.rotation.T, block_diag(world.scale * world.rotation, world.rotation)
+    motion = pose.rigid(turn, world.points(a_from_b[:3, 3]) - turn @ world.translation)
+    found = {"a_from_b": motion, "middle": world.points(middle), "covariance": units @ covariance @ units.T}
+    return {name: value.tolist() for name, value in found.items()}
+
+
 def moved(scene: Scene, found: Similarity, *, metric: bool) -> Scene:
     """The scene in another world. Bounds that were stated move along; others are measured anew from masks, points and cameras."""
     views = tuple(replace(found.view(view), truth={}) for view in scene.views)
     points = None if scene.points is None else found.points(scene.points)
-    new = replace(scene, views=views, points=points, metric=metric)
+    known = dict(scene.provenance)
+    if TURNED in known:
+        known[TURNED] = {**known[TURNED], **_motion_in(found, known[TURNED])}
+    new = replace(scene, views=views, points=points, metric=metric, provenance=known)
     if scene.box_is_stated:
         corners = found.points(bounds.corners(scene.box))
         box = np.stack([corners.min(0), corners.max(0)])

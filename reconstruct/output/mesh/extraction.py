@@ -14,10 +14,11 @@ from jaxtyping import Float
 from koala3d.datasets.scene import Scene
 from koala3d.reconstruct.errors import ReconstructError
 from koala3d.reconstruct.numerics.volume import SURFACE
-from koala3d.reconstruct.output.mesh.closing import mended
+from koala3d.reconstruct.output.mesh.closing import is_closed, mended
 from koala3d.reconstruct.output.mesh.field_samples import frontal_colours, grid_axes, predicted_normals, sample_density
 from koala3d.reconstruct.output.mesh.isolation import SIDES, fill_interior, isolate_object
 from koala3d.reconstruct.output.mesh.refinement import follow_normals
+from koala3d.reconstruct.output.mesh.solid import AROUND, SHELLS, Solid, inside
 from koala3d.reconstruct.output.trained_model import TrainedModel
 
 if TYPE_CHECKING:
@@ -54,12 +55,12 @@ def extract(
     Raises ReconstructError: there is no surface in the box.
     """
     import trimesh
-    from skimage.measure import marching_cubes
 
     axes = grid_axes(trained, resolution)
     density = sample_density(trained, axes)
     side = max(axis[-1] - axis[0] for axis in axes)
-    threshold = -np.log1p(-level) / (SURFACE if trained.model.field.solid else side / 128)
+    length = SURFACE if trained.model.field.solid else side / 128
+    threshold = -np.log1p(-level) / length
     if not density.min() < threshold < density.max():
         why = f"densities are {density.min():.3g} to {density.max():.3g}, the surface is at {threshold:.3g}"
         problem, advice = "there is no surface in the object's box", "train longer, or check the scene's box"
@@ -70,11 +71,7 @@ def extract(
         density = isolate_object(density, threshold, stands_on)
     if watertight:
         density, first = np.pad(fill_interior(density, threshold), 1), first - spacing
-    # Density grows exponentially into the surface: interpolating its logarithm does not pull the surface to the empty side.
-    # 'ascent' makes faces point outward, since skimage counts axes backwards.
-    logarithm, crossing = np.log(density + 1e-3 * threshold), float(np.log(1.001 * threshold))
-    vertices, triangles, _, _ = marching_cubes(logarithm, crossing, spacing=(spacing,) * 3, gradient_direction="ascent")
-    mesh = main_parts(trimesh.Trimesh(vertices + first, triangles, process=False))
+    mesh = _cut(density, threshold, spacing, first)
     if follow and trained.model.field.appearance.predicts_normals:
         normals = predicted_normals(trained, mesh.vertices)
         vertices = follow_normals(mesh.vertices, mesh.faces, normals, over=FOLLOWED * side)
@@ -82,17 +79,60 @@ def extract(
     if faces is not None and faces < len(mesh.faces):
         mesh = mesh.simplify_quadric_decimation(face_count=faces)
     mesh = mended(mesh)
+    shells = (
+        _shells(trained, density, [-np.log1p(-share) / length for share in AROUND], spacing, first) if is_closed(mesh) else None
+    )
     colours = frontal_colours(trained, mesh.vertices, mesh.vertex_normals)
     world = mesh.vertices / trained.run.normalisation.scale + trained.run.normalisation.centre
-    return trimesh.Trimesh(world, mesh.faces, vertex_normals=mesh.vertex_normals, vertex_colors=colours, process=False)
+    about: dict[str, Any] = {} if shells is None else {SHELLS: shells}
+    kept: dict[str, Any] = {"vertex_normals": mesh.vertex_normals, "vertex_colors": colours, "metadata": about}
+    return trimesh.Trimesh(world, mesh.faces, process=False, **kept)
+
+
+def _cut(
+    density: Float[np.ndarray, "x y z"], threshold: float, spacing: float, first: Float[np.ndarray, " 3"]
+) -> "trimesh.Trimesh":
+    """The surface where the density is `threshold`, from marching cubes, without noise.
+
+    Density grows exponentially into the surface: interpolating its logarithm does not pull the surface to the empty side.
+    """
+    import trimesh
+    from skimage.measure import marching_cubes
+
+    # 'ascent' makes faces point outward, since skimage counts axes backwards.
+    logarithm, crossing = np.log(density + 1e-3 * threshold), float(np.log(1.001 * threshold))
+    vertices, triangles, _, _ = marching_cubes(logarithm, crossing, spacing=(spacing,) * 3, gradient_direction="ascent")
+    return main_parts(trimesh.Trimesh(vertices + first, triangles, process=False))
+
+
+def _shells(
+    trained: TrainedModel,
+    density: Float[np.ndarray, "x y z"],
+    thresholds: list[float],
+    spacing: float,
+    first: Float[np.ndarray, " 3"],
+) -> list[tuple[float, Float[np.ndarray, " 3"]]] | None:
+    """Volume and centre, in the world, of the surfaces at these densities; None where one of them is missing or open."""
+    known, found = trained.run.normalisation, []
+    for threshold in thresholds:
+        shell = _cut(density, threshold, spacing, first) if threshold < density.max() else None
+        if shell is None or not is_closed(shell):
+            return None
+        volume, centre = inside(shell)
+        found.append((volume / known.scale**3, centre / known.scale + known.centre))
+    return found
 
 
 def summary(surface: "trimesh.Trimesh", scene: Scene) -> tuple[dict[str, Any], str]:
-    """Size, number of triangles and open sides of a surface, for a program and for a person."""
+    """Size, number of triangles, open sides, and of a closed surface what it encloses; for a program and for a person."""
     size, open_at = surface.extents.tolist(), sides_reached(surface, scene.box)
     counts = {"vertices": len(surface.vertices), "faces": len(surface.faces)}
     found = {**counts, "size": size, "metric": scene.metric, "open_at": open_at}
+    solid = Solid.of(surface, scene)
+    found |= {} if solid is None else solid.to_json()
     text = f"{len(surface.faces)} triangles, {' x '.join(f'{side:.3f}' for side in size)} {'m' if scene.metric else 'units'}"
+    if solid is not None:
+        text = f"{text}\n{solid.words(scene)}"
     if len(open_at) == 1:
         text = f"open at {open_at[0]}, where it leaves the object's box; --watertight closes it\n{text}"
     elif open_at:

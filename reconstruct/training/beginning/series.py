@@ -15,6 +15,7 @@ from koala3d.reconstruct import checkpoint
 from koala3d.reconstruct.errors import ReconstructError
 from koala3d.reconstruct.run import CHECKPOINTS, Run
 from koala3d.reconstruct.scene.facts import SceneFacts
+from koala3d.reconstruct.scene.poses import session_of
 from koala3d.reconstruct.scene.rays import Normalisation
 from koala3d.reconstruct.training.decisions.decide import normalisation_of
 from koala3d.reconstruct.training.step import TrainState
@@ -51,7 +52,8 @@ def facts_of_series(scene: Scene, run: Run) -> SceneFacts:
     if max(moved, abs(known.scale / found.scale - 1)) > SAME_BOX:
         why = f"its box has the middle {_words(found)}, the run's {_words(known)}"
         raise UsageError("scene does not lie as the run's", where=scene.name, why=why, remedy=remedy)
-    return replace(run.facts, normalisation=replace(known, near=found.near, far=found.far), log_gains=None)
+    normalisation = replace(known, near=found.near, far=found.far)
+    return replace(run.facts, normalisation=normalisation, log_gains=None, session=session_of(scene, normalisation))
 
 
 def _words(normalisation: Normalisation) -> str:

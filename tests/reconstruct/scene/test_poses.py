@@ -1,3 +1,4 @@
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +12,7 @@ import pytest
 from koala3d.datasets import pose
 from koala3d.datasets.core.console import progress
 from koala3d.datasets.core.errors import DatasetError
-from koala3d.datasets.scene import Scene, View
+from koala3d.datasets.scene import TURNED, Scene, View
 from koala3d.reconstruct.config import Config
 from koala3d.reconstruct.models import merged_config
 from koala3d.reconstruct.output.trained_model import TrainedModel
@@ -22,8 +23,9 @@ from koala3d.reconstruct.scene.facts import SceneFacts
 from koala3d.reconstruct.scene.rays import Normalisation, Pixels, Rays, view_rays
 from koala3d.reconstruct.scene.twists import moved
 from koala3d.reconstruct.training import batches, objective, optimiser, schedule
-from koala3d.reconstruct.training.step import Step
+from koala3d.reconstruct.training.step import Step, TrainState
 from tests import drawn
+from tests.reconstruct.two_sessions import SHIFT_M, TURN_RAD, of_two_sessions
 from tests.small import Trainable
 
 SIGMA_M, SIGMA_RAD, STEPS = 2e-3, 4e-3, 100
@@ -74,28 +76,28 @@ def test_a_corrected_pose_sees_the_moved_rays(ball_scene: tuple[Scene, Path]) ->
     assert changed["moved_px"] > 70 * 0.1, "0.27 rad move the object by more than a tenth of the focal length"
 
 
-def test_perturbed_poses_are_recovered_from_the_pictures(
-    painted: TrainedModel, config: Config, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The true field, pictures of it from true poses, and poses that are off: steps of the training itself bring them back.
-
-    What remains is of the gauge (seven of 24 directions, in which the perturbation is kept) and of 40 x 48 pixels.
-    """
-    true = painted.scene.split("train")
+def learned_alone(
+    painted: TrainedModel,
+    true: tuple[View, ...],
+    views: tuple[View, ...],
+    config: Config,
+    facts: SceneFacts,
+    monkeypatch: pytest.MonkeyPatch,
+) -> TrainState:
+    """After steps in which poses move alone: the field is true, and pictures, taken from `true` poses, are given to `views`."""
     pictures = np.concatenate([np.asarray(painted.picture(view).rgb).reshape(-1, 3) for view in true])
-    views, normalisation = perturbed(true), painted.run.normalisation
     with progress("reading", len(views)) as shown:
-        pixels = Pixels.load(views, normalisation, 1.0, shown)
+        pixels = Pixels.load(views, facts.normalisation, 1.0, shown)
     colour = np.concatenate([pictures, np.ones_like(pictures[:, :1])], -1)
     pixels = eqx.tree_at(lambda p: p.colour, pixels, jnp.asarray(colour, jnp.float16))
-    for name in ("POSE_RATE", "LAST_POSE_RATE"):  # poses move alone
+    for name in ("POSE_RATE", "LAST_POSE_RATE"):
         monkeypatch.setattr(schedule, name, 0.05 / 1e-12)
     wide = {
         "sampler": {"rays": 1024, "samples": 8192, "max_per_ray": 12},
         "surface": {"enabled": False},
         "train": {"rate": 1e-12, "final_rate": 1e-12},
     }
-    one_step = Step.of(merged_config(config, wide), SceneFacts(normalisation))
+    one_step = Step.of(merged_config(config, wide), facts)
     fresh = one_step.initial(jax.random.key(0), None, len(views))
     sampler = replace(fresh.model.sampler, grid=painted.model.sampler.grid)
     model = jax.tree.map(jnp.asarray, replace(fresh.model, field=painted.model.field, sampler=sampler))
@@ -105,6 +107,19 @@ def test_perturbed_poses_are_recovered_from_the_pictures(
     trainable = Trainable(one_step, pixels, state, one_step.compiled(state, pixels))
     state, lines = trainable.trained(STEPS, second=lambda _: False, done=lambda i: i / STEPS)
     assert int(state.skipped) == 0 and lines[-1]["mse"] < 1e-3
+    return state
+
+
+def test_perturbed_poses_are_recovered_from_the_pictures(
+    painted: TrainedModel, config: Config, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The true field, pictures of it from true poses, and poses that are off: steps of the training itself bring them back.
+
+    What remains is of the gauge (seven of 24 directions, in which the perturbation is kept) and of 40 x 48 pixels.
+    """
+    true = painted.scene.split("train")
+    views, normalisation = perturbed(true), painted.run.normalisation
+    state = learned_alone(painted, true, views, config, SceneFacts(normalisation), monkeypatch)
     found = [
         poses.corrected(v.world_from_camera, t, normalisation.scale)
         for v, t in zip(views, np.asarray(state.model.poses), strict=True)
@@ -115,6 +130,52 @@ def test_perturbed_poses_are_recovered_from_the_pictures(
         poses.change(a, replace(b, world_from_camera=f), box)["moved_px"] for a, b, f in zip(true, views, found, strict=True)
     ]
     assert np.mean(before) > 0.4 and np.mean(after) < 0.5 * np.mean(before), (before, after)
+
+
+def test_a_second_session_moves_as_one(ball_scene: tuple[Scene, Path], tmp_path: Path) -> None:
+    scene = of_two_sessions(ball_scene[0])
+    normalisation, stated = Normalisation.of(scene), scene.provenance[TURNED]
+    facts = SceneFacts(normalisation, session=poses.session_of(scene, normalisation))
+    assert SceneFacts.from_json(json.loads(json.dumps(facts.to_json()))) == facts
+    session = facts.free_session
+    assert session is not None and not session.twists.any() and not session.spread[:2].any()
+    assert poses.session_of(ball_scene[0], normalisation) is None and SceneFacts(normalisation).free_session is None
+    session = replace(session, by=jnp.array([3.0, -2, 1, 2, 1, -3]))
+    moved_all = poses.refined(scene, normalisation, None, session)
+    one_by_one = poses.refined(ball_scene[0], normalisation, session.twists)
+    motions = []
+    for old, new, other in zip(scene.views, moved_all.views, one_by_one.views, strict=True):
+        motion = new.world_from_camera @ pose.inverse(old.world_from_camera)
+        if old.name not in stated["views"]:
+            assert new is old
+            continue
+        motions.append(motion)
+        if old.split == "train":
+            np.testing.assert_allclose(new.world_from_camera, other.world_from_camera, atol=1e-6)
+    assert len(motions) == 3 and np.ptp(motions, axis=0).max() < 1e-12  # of a test view too
+    poses.write(tmp_path, scene, normalisation, None, session)
+    said = poses.read(tmp_path)
+    assert said[TURNED]["in_deviations"] == pytest.approx(np.sqrt(28 / 6)) and said[TURNED].keys() == poses.OF_SESSION.keys()
+    assert said[TURNED]["moved_mm"] == pytest.approx(1e3 * SHIFT_M * np.sqrt(14)) and "gauge" not in said
+    assert said[TURNED]["turned_deg"] == pytest.approx(np.rad2deg(TURN_RAD) * np.sqrt(14))
+    assert "the object's motion between both sessions was corrected by 1.87 mm" in poses.summary(tmp_path)
+
+
+def test_a_second_session_that_is_off_is_pulled_back(
+    painted: TrainedModel, config: Config, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each of the six numbers is off by three stated deviations; nothing else moves, and pictures are of the true poses."""
+    scene = of_two_sessions(painted.scene)
+    normalisation, true = painted.run.normalisation, scene.split("train")
+    facts = SceneFacts(normalisation, session=poses.session_of(scene, normalisation))
+    off = np.array([3.0, -3, 3, 3, -3, -3])
+    session = replace(facts.free_session, by=jnp.asarray(-off, jnp.float32))
+    views = poses.refined(scene, normalisation, None, session).split("train")
+    settled = merged_config(config, {"poses": {"enabled": False}})
+    state = learned_alone(painted, true, views, settled, facts, monkeypatch)
+    left = np.asarray(state.model.session.by) - off
+    assert np.sqrt(np.mean(left**2)) < 0.15 * 3, left
+    assert not np.asarray(state.model.twists)[:2].any()
 
 
 def _white(uniform: Callable) -> Callable:

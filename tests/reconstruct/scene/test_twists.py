@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import expm
 
 from koala3d.reconstruct.scene.rays import Rays
-from koala3d.reconstruct.scene.twists import followed, gauge, moved, without_gauge
+from koala3d.reconstruct.scene.twists import followed, gauge, moved, together, without_gauge
 from tests import drawn
 
 VIEWS, RAYS = 7, 60
@@ -50,6 +50,24 @@ def test_rays_move_as_the_matrix_exponential_says(angle: float) -> None:
     origins, directions = reference(some_rays(), twists.astype(np.float64))
     np.testing.assert_allclose(found.origins, origins, atol=2e-6)
     np.testing.assert_allclose(found.directions, directions, atol=2e-6)
+
+
+def test_a_motion_of_all_cameras_is_one_motion() -> None:
+    """The matrix exponential of each camera's twist about itself is that of the one twist about the middle."""
+    rng = np.random.default_rng(2)
+    origins, middle, root = 3 * rng.normal(size=(5, 3)), rng.normal(size=3), 0.1 * rng.normal(size=(6, 6))
+    spread = together(origins, middle, root @ root.T)
+    about = together(middle[None], middle, root @ root.T)[0]
+    np.testing.assert_allclose(about @ about.T, root @ root.T, atol=1e-12)
+    by = rng.normal(size=6)
+
+    def motion(twist: np.ndarray, place: np.ndarray) -> np.ndarray:
+        there, back = np.eye(4), np.eye(4)
+        there[:3, 3], back[:3, 3] = place, -place
+        return there @ expm(generator(twist)) @ back
+
+    for one, origin in zip(spread, origins, strict=True):
+        np.testing.assert_allclose(motion(one @ by, origin), motion(about @ by, middle), atol=1e-10)
 
 
 def test_no_twist_moves_nothing_and_none_costs_nothing() -> None:

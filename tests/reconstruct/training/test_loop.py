@@ -9,6 +9,7 @@ import pytest
 
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.formats import koala, load_scene
 from koala3d.datasets.scene import Scene
 from koala3d.reconstruct import checkpoint
 from koala3d.reconstruct.config import Config
@@ -22,6 +23,7 @@ from koala3d.reconstruct.training.faults import FAULTS as FAULT_BITS
 from koala3d.reconstruct.training.loop import start, train
 from koala3d.reconstruct.training.step import Step
 from tests.reconstruct import glossy_ball
+from tests.reconstruct.two_sessions import of_two_sessions
 from tests.small import small
 
 
@@ -80,6 +82,24 @@ def test_a_resumed_training_ends_at_the_same_bits(
         for old, new in zip(scene.views, trained.scene.views, strict=True)
     ]
     assert [bool(size) for size in apart] == [view.split == "train" for view in scene.views], "unseen views keep their poses"
+
+
+@pytest.mark.usefixtures("two_steps_at_once")
+def test_the_motion_of_an_object_that_was_turned_over_is_free_unless_poses_are_not(
+    ball_scene: tuple[Scene, Path], config: Config, tmp_path: Path
+) -> None:
+    koala.save(of_two_sessions(ball_scene[0]), tmp_path / "whole")
+    scene = load_scene(tmp_path / "whole")
+    for poses in ("auto", False):
+        run = tmp_path / f"run_{poses}"
+        train(scene, tmp_path / "whole", merged_config(config, {"poses": {"enabled": poses}}), run)
+        trained = TrainedModel.open(run)
+        assert (
+            (trained.run.facts.session is None) == (trained.model.session is None) == (not poses) == (not (run / POSES).exists())
+        )
+    free = Run.open(tmp_path / "run_auto").facts.session
+    assert free is not None and [any(row) for row in free] == [False, False, True, True]
+    start(scene, tmp_path / "whole", config, tmp_path / "again", start_from=Run.open(tmp_path / "run_auto"))
 
 
 def test_steps_that_are_not_finite_are_left_out_and_end_the_training_where_they_recur(

@@ -7,13 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from koala3d.datasets import pose
 from koala3d.datasets.cli import app
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.formats import koala, load_scene
 from koala3d.datasets.process.world import alignment
 from koala3d.datasets.process.world.alignment import Wishes
 from koala3d.datasets.process.world.similarity import Similarity, upwards
-from koala3d.datasets.scene import Scene
+from koala3d.datasets.scene import TURNED, Scene
 
 
 def aligned(scene: Scene, folder: Path, *words: object) -> Scene:
@@ -71,3 +72,20 @@ def test_no_marker_no_metres(tilted: Scene) -> None:
         alignment.align(tilted, {}, Wishes(marker_m=0.04))
     kept = alignment.align(tilted, {}, Wishes(up="none"))
     assert kept.up_from is None and kept.scene.views[0].world_from_camera == pytest.approx(tilted.views[0].world_from_camera)
+
+
+def test_the_motion_of_an_object_that_was_turned_over_moves_along(tilted: Scene) -> None:
+    """A place of the object goes from b to a in either world; what is uncertain along one axis is so along where it went."""
+    motion, middle = pose.from_rotation_vector([3.0, 0.1, 0.2], [0.3, 0.2, 0.1]), np.array([0.1, 0.2, 0.3])
+    stated = {"a_from_b": motion.tolist(), "middle": middle.tolist(), "covariance": np.diag([1.0, 4, 9, 2, 3, 5]).tolist()}
+    scene = replace(tilted, provenance={TURNED: stated | {"views": ["one"]}})
+    world = Similarity(2.0, upwards([0, 1, 0]), np.array([1.0, 0, 0]))
+    found = alignment.moved(scene, world, metric=True).provenance[TURNED]
+    place = np.array([0.4, -0.2, 0.1])
+    in_a = motion[:3, :3] @ place + motion[:3, 3]
+    in_new = np.array(found["a_from_b"]) @ np.append(world.points(place), 1)
+    np.testing.assert_allclose(in_new[:3], world.points(in_a), atol=1e-12)
+    np.testing.assert_allclose(found["middle"], world.points(middle))
+    axis = np.append(world.rotation[:, 1], np.zeros(3))
+    assert axis @ np.array(found["covariance"]) @ axis == pytest.approx(4 * 2**2)
+    assert found["views"] == ["one"] and scene.provenance[TURNED]["middle"] == middle.tolist()

@@ -107,11 +107,35 @@ def test_no_surface_is_one_clear_error(make_run: Callable[..., Run]) -> None:
         extraction.extract(replace(trained, model=empty), resolution=32)
 
 
+def test_a_closed_surface_states_what_it_encloses(ball: TrainedModel, tmp_path: Path) -> None:
+    """The deviations are of the surfaces on either side, whose radii are known, and of the stated motion."""
+    surface = extraction.extract(ball, resolution=96, follow=False)
+    found, text = extraction.summary(surface, ball.scene)
+    outer, middle, inner = (4 / 3 * np.pi * expected_radius(level) ** 3 for level in (0.16, 0.5, 0.84))
+    assert found["volume"] == pytest.approx(middle, rel=0.01) and found["volume"] == pytest.approx(surface.volume)
+    assert found["volume_deviation"] == pytest.approx((outer - inner) / 2, rel=0.3)  # a third of a cell
+    np.testing.assert_allclose(found["centre_of_mass"], CENTRE, atol=1e-4)
+    assert max(found["centre_of_mass_deviation"]) < 1e-4
+    cubic, off = re.search(r"volume ([\d.]+) ± ([\d.]+) cm3, centre of mass at", text).groups()
+    assert float(cubic) == pytest.approx(1e6 * middle, rel=0.01) and float(off) == pytest.approx(
+        1e6 * found["volume_deviation"], rel=0.1
+    )
+    covariance = np.diag([1e-8, 4e-8, 1e-8, 0, 0, 0])  # 0.2 mm at most
+    over = replace(ball.scene, provenance={"turned": {"covariance": covariance.tolist()}})
+    apart = extraction.summary(surface, over)[0]
+    section = np.pi * expected_radius(0.5) ** 2
+    assert apart["volume_deviation"] == pytest.approx(np.hypot(found["volume_deviation"], 2e-4 * section), rel=0.01)
+    assert apart["centre_of_mass_deviation"] == pytest.approx((1e-4,) * 3, rel=0.2)
+    files.save(surface, tmp_path / "ball.glb")
+    assert b"shells" not in (tmp_path / "ball.glb").read_bytes()
+
+
 def test_a_surface_that_leaves_the_box_can_be_closed(ball: TrainedModel) -> None:
     """Half of the ball is outside a box that ends at its middle."""
     low, high = ball.scene.box
     half = replace(ball, scene=replace(ball.scene, box=np.stack([low, [high[0], high[1], CENTRE[2]]])))
     surface, closed = extraction.extract(half, resolution=64), extraction.extract(half, resolution=64, watertight=True)
+    assert "volume" not in extraction.summary(surface, half.scene)[0] and "volume" in extraction.summary(closed, half.scene)[0]
     assert not surface.is_watertight and closed.is_watertight
     assert extraction.sides_reached(surface, half.scene.box) == ["+z"] and extraction.sides_reached(closed, half.scene.box) == []
     assert closed.volume == pytest.approx(2 / 3 * np.pi * RADIUS**3, rel=0.1)
@@ -129,7 +153,7 @@ def test_what_reaches_in_from_outside_can_be_left_out(ball: TrainedModel) -> Non
 def test_the_summary_names_the_sides_and_what_to_do(ball: TrainedModel) -> None:
     surface = extraction.extract(ball, resolution=32, follow=False)
     found, text = extraction.summary(surface, ball.scene)
-    count, sides = re.fullmatch(r"(\d+) triangles, ([\d.]+ x [\d.]+ x [\d.]+) m", text).groups()
+    count, sides = re.match(r"(\d+) triangles, ([\d.]+ x [\d.]+ x [\d.]+) m\n", text).groups()
     assert found["open_at"] == [] and int(count) == found["faces"] == len(surface.faces)
     np.testing.assert_allclose(
         [float(side) for side in sides.split(" x ")], 2 * expected_radius(0.5), atol=2e-3

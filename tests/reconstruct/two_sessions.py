@@ -1,0 +1,18 @@
+"""A scene of which one half says that the object was turned over before it."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from koala3d.datasets.scene import TURNED, Scene
+
+SHIFT_M, TURN_RAD = 5e-4, 4e-3
+"""Stated standard deviations of the motion along each axis."""
+
+
+def of_two_sessions(scene: Scene) -> Scene:
+    """The scene, whose later training views and last test view are those of the second session."""
+    names = [view.name for view in (*scene.split("train")[2:], scene.split("test")[-1])]
+    covariance = np.diag([SHIFT_M**2] * 3 + [TURN_RAD**2] * 3)
+    stated = {"views": names, "middle": scene.box.mean(0).tolist(), "covariance": covariance.tolist()}
+    return replace(scene, provenance={**scene.provenance, TURNED: stated})
