@@ -71,7 +71,7 @@ class Comparison:
         return {
             "format": FORMAT,
             "version": VERSION,
-            "aligned": self.aligned.to_json() | {"scale_removed": self.aligned.fit.scale != 1.0},
+            "aligned": self.aligned.to_json() | {"scale_removed": abs(self.aligned.fit.scale - 1) > 1e-9},
             "deviation_m": {name: float(value) for name, value in figures.items()},
             "within": {"tolerance_m": self.tolerance, "share": float(inside)},
             "std_m": None if self.std is None else float(np.sum(share * self.std)),

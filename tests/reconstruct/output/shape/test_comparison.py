@@ -70,6 +70,7 @@ def test_a_difference_in_size_is_found_and_removed_on_request() -> None:
     for one in (kept, removed):
         assert one.aligned.scale == pytest.approx(1.003, abs=1e-4), "a tenth of the 0.1 % that is asked for"
         assert abs(one.aligned.scale - 1.003) < 4 * one.aligned.scale_std
+    assert [one.to_json()["aligned"]["scale_removed"] for one in (kept, removed)] == [False, True]
     assert removed.to_json()["deviation_m"]["rms"] == pytest.approx(NOISE, rel=0.05)
     assert kept.to_json()["deviation_m"]["mean"] > 1e-4 > abs(removed.to_json()["deviation_m"]["mean"])
 
