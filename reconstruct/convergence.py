@@ -18,7 +18,7 @@ lost the third since their best."""
 FALL_DB = 2.0
 """PSNR lost since its best from which a training diverges."""
 WORSE_DB = 0.3
-"""PSNR of unseen views lost from its best to the end from which a training got worse; the spread of the log is a third of that."""
+"""PSNR of unseen views lost since its best from which a training got worse; the spread of the log is a third of that."""
 FEWEST_LINES = 4
 
 
