@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from koala3d.datasets import pose
 from koala3d.datasets.calibration import Calibration
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.formats import ply
-from koala3d.datasets.process.world.similarity import between
 from koala3d.datasets.recording import TRUTH, Recording
 from koala3d.datasets.scene import TURNED, Scene
 from koala3d.datasets.turned.registration import Registration
@@ -78,8 +78,8 @@ def turned_error(scene: Scene) -> dict[str, float]:
     found, (in_a, in_b) = Registration.from_json(scene.provenance[TURNED]), (ply.read_points(path) for path in surfaces)
     if len(in_a) != len(in_b):
         raise UsageError("recordings are of different objects", where=", ".join(map(str, surfaces)))
-    true = between(in_b, in_a)
-    by = found.error(pose.rigid(true.rotation, true.translation))
+    rotation = Rotation.align_vectors(in_a - in_a.mean(0), in_b - in_b.mean(0))[0].as_matrix()
+    by = found.error(pose.rigid(rotation, in_a.mean(0) - rotation @ in_b.mean(0)))
     shift, turn = found.deviations
     return {
         "shift_mm": float(1e3 * np.linalg.norm(by[:3])),
