@@ -46,9 +46,9 @@ class Surfaces(eqx.Module):
         """Those of the first rays."""
         return jax.tree.map(lambda values: values[:count], self)
 
-    def settled(self, share: Float[Array, ""]) -> "Surfaces":
-        """With `solid` in place of `first` on this share of the rays, which are spread evenly over all."""
-        those = jnp.arange(self.first.t.shape[0]) * GOLDEN % 1 < share
+    def settled(self, share: Float[Array, ""], at_object: Bool[Array, " n"]) -> "Surfaces":
+        """With `solid` in place of `first` on this share of the rays at the object, which are spread evenly over all rays."""
+        those = at_object & (jnp.arange(self.first.t.shape[0]) * GOLDEN % 1 < share)
         chosen = jax.tree.map(lambda solid, first: jnp.where(those, solid, first), self.solid, self.first)
         return Surfaces(chosen, self.solid)
 

@@ -86,7 +86,9 @@ class Objective:
         if not begins:
             return Surfaces(solid, solid)
         found = Surfaces(jax.lax.stop_gradient(by("median")), solid)
-        return found if begins == 1 else found.settled(self.schedule.by_share(progress))
+        if begins == 1:
+            return found
+        return found.settled(self.schedule.by_share(progress), self.place.in_box(rays, solid))
 
     def ray_terms(
         self, model: Model, rendered: Rendered, density: Float[Array, " n"], found: Sampled, progress: Float[Array, ""]

@@ -10,7 +10,7 @@ those with a key):
     8 to 18 %       solid objects are kept dense behind their surface
     10 to 20 %      corrections of poses begin to move
     from 20 %       light lost in front of a surface counts
-    20 to 50 %      among surroundings ever more rays' surfaces are where half the largest weight is (`share_from`)
+    20 to 50 %      among surroundings ever more of the object's surfaces are where half the largest weight is (`share_from`)
     40 to 50 %      among surroundings the Lambertian bias of the object comes in (`bias_from`)
     40 to 80 %      the density follows predicted normals ever more strongly
     throughout      second passes become more frequent, log-linearly (`surface.first_period`, `last_period`)
@@ -90,7 +90,7 @@ class Schedule:
         return late(progress, start=self.config.schedule.bias_from)
 
     def by_share(self, progress: Progress) -> Float[Array, ""]:
-        """Share of the rays whose first surfaces are found by the share of the largest weight, and no longer by the median."""
+        """Share of the object's first surfaces that are found by the share of the largest weight, and no longer by the median."""
         begin = self.config.schedule.share_from
         return between(progress, first=0.0, last=1.0, over=(begin, begin + SETTLING))
 

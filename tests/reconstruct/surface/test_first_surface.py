@@ -94,9 +94,11 @@ def test_solid_surfaces_take_the_place_of_the_first_ray_by_ray() -> None:
     ones = np.ones(500, np.float32)
     first = Surface(drawn.array(np.arange(500), np.int32), drawn.array(2 * ones), drawn.array(ones), drawn.array(0.1 * ones))
     both = Surfaces(first, Surface(first.ray, drawn.array(3 * ones), first.weight, first.radius))
-    choose = jax.jit(lambda both, share: both.settled(share))
+    choose = jax.jit(lambda both, share, at_object: both.settled(share, at_object))
     for share in (0.0, 0.3, 1.0):
-        chosen = choose(both, np.float32(share))
+        chosen = choose(both, np.float32(share), np.ones(500, bool))
         taken = np.asarray(chosen.first.t) == 3
         assert [taken[part].mean() for part in (slice(250), slice(250, 500))] == pytest.approx([share] * 2, abs=0.02)
         np.testing.assert_array_equal(chosen.solid.t, 3)
+    at_object = np.arange(500) < 200
+    np.testing.assert_array_equal(np.asarray(choose(both, np.float32(1), at_object).first.t) == 3, at_object)

@@ -96,6 +96,17 @@ def test_an_object_among_surroundings_waits_for_its_reflections(rays: Rays) -> N
     np.testing.assert_array_equal(among(np.float32(1.0)), [1, 1])
 
 
+def test_what_an_object_stands_on_is_not_in_its_box(rays: Rays) -> None:
+    """Points of which the second is on the border of a box, where a table may reach in."""
+    points = surface_of((1.9, 0.5), (0, 0))
+    places = np.abs(np.asarray(PLACE.of(rays, points).points)).max(0)
+    inside = lambda place: np.asarray(jax.jit(lambda points: place.in_box(rays, points))(points)).tolist()  # noqa: E731
+    assert inside(PLACE) == [True, True]
+    near, far = places.argmin(), places.argmax()
+    found = inside(Place(BALL, half_box=(float(places[far]) / 0.99,) * 3))
+    assert found[near] and not found[far]
+
+
 @pytest.mark.parametrize("place", [PLACE, Place(BALL)])
 def test_neither_shape_nor_light_has_a_gradient(field: Field, rays: Rays, surface: Surface, place: Place) -> None:
     """Of the spatial network's last layer only diffuse colour and tint feel it; the features before, and the light, nothing."""
