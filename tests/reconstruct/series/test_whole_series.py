@@ -52,6 +52,7 @@ def strike(out: Path) -> None:
     os.kill(workers(out / "one/steps/train.log")[-1], signal.SIGKILL)
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(1500)
 def test_results_on_a_cluster_are_those_without_one(cluster: Any, two_balls: Path, interrupted: Path) -> None:
     """Two nodes; the worker of one training is killed, with the command that it runs, and the training goes on elsewhere."""
