@@ -81,7 +81,9 @@ def test_meshes_are_where_the_pictures_show_them(name: str, tmp_path: Path) -> N
     maps = Traced(tracer).maps(camera, matrix := spiral_poses(5, 0)[2])
     whole = maps["alpha"][..., 0] > 0.99
     points = matrix[:3, 3] + maps["depth"] * (camera.directions(camera.pixel_centres()) @ matrix[:3, :3].T)
-    assert np.median(Nearest(mesh, count=20_000).feet(points[whole]).distance) < 3e-4  # a pixel is 7 mm wide here, and the ball's bulge in it 0.3 mm
+    assert (
+        np.median(Nearest(mesh, count=20_000).feet(points[whole]).distance) < 3e-4
+    )  # a pixel is 7 mm wide here, and the ball's bulge in it 0.3 mm
 
 
 def test_the_same_scene_again_is_the_same() -> None:
