@@ -1,6 +1,7 @@
 """Every page that a command writes as a file, opened from there: it is sound, and a click, a key or the pointer changes it."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -63,6 +64,26 @@ def of_sweep(fixture: Fixture, out: Path) -> Path:
     return out / "page.html"
 
 
+def of_series(fixture: Fixture, out: Path) -> Path:
+    from koala3d.reconstruct.series import page
+    from koala3d.reconstruct.series.file import Series, SeriesFile
+    from koala3d.reconstruct.series.table import Row
+
+    rows = [Row(name, "done", "", "", {"train": 60.0}, {"psnr": psnr}, {}, {}) for name, psnr in (("cup", 31.0), ("jug", 28.0))]
+    page.write(rows, {row.name: out / row.name for row in rows}, Series(out / "series.yaml", SeriesFile(), {}), out, {})
+    return out / "index.html"
+
+
+def of_shapes(fixture: Fixture, out: Path) -> Path:
+    from koala3d.reconstruct.output.shape import comparison, files
+    from tests.reconstruct.output.shape.test_comparison import DENT, DRAWING, piece
+
+    found = comparison.compare(piece(dent=DENT), DRAWING, by="base")
+    (place,) = found.places
+    files.write(replace(found, places=[place, replace(place, point=place.point + 0.01)]), out, "reconstruct compare-shape")
+    return out / "index.html"
+
+
 REPORTS = {
     "capture/page/report.py": of_recording,
     "calib/page/report.py": of_calibration,
@@ -70,6 +91,8 @@ REPORTS = {
     "reconstruct/output/report.py": of_run,
     "reconstruct/diagnosis/diagnose.py": of_diagnosis,
     "reconstruct/experiments/page.py": of_sweep,
+    "reconstruct/output/shape/files.py": of_shapes,
+    "reconstruct/series/page.py": of_series,
 }
 """How the report of each module is made."""
 
@@ -81,7 +104,8 @@ def test_a_report_is_sound_and_sorts_its_tables(
     written = REPORTS[module](request.getfixturevalue, tmp_path)
     with browse(written.as_uri()) as window:
         table = window.page.locator("table.sortable").filter(has=window.page.locator("tbody tr + tr")).first
-        head, names = table.locator("th").first, table.locator("td:first-child")
+        column = [bool(words) for words in table.locator("th").all_text_contents()].index(True)  # the first may be of pictures
+        head, names = table.locator("th").nth(column), table.locator(f"td:nth-child({column + 1})")
         head.click()
         rising = names.all_text_contents()
         head.click()
