@@ -92,6 +92,22 @@ def cross(vectors: ArrayLike) -> NDArray[np.float64]:
     return np.stack([np.stack(row, -1) for row in ((none, -z, y), (z, none, -x), (-y, x, none))], -2)
 
 
+def rotations(count: int) -> NDArray[np.float64]:
+    """(count, 3, 3) rotations, evenly spread: the super-Fibonacci spirals of Alexa (CVPR 2022)."""
+    index = np.arange(count) + 0.5
+    share, first, second = index / count, 2 * np.pi * index / np.sqrt(2), 2 * np.pi * index / 1.533751168755204288118041
+    inner, outer = np.sqrt(share), np.sqrt(1 - share)
+    quaternions = [inner * np.sin(first), inner * np.cos(first), outer * np.sin(second), outer * np.cos(second)]
+    return np.asarray(Rotation.from_quat(np.stack(quaternions, -1)).as_matrix(), np.float64)
+
+
+def directions(count: int) -> NDArray[np.float64]:
+    """(count, 3) unit vectors that cover the sphere evenly (Fibonacci lattice)."""
+    height = 1 - (2 * np.arange(count) + 1) / count
+    angle, across = np.arange(count) * np.pi * (3 - np.sqrt(5)), np.sqrt(1 - height**2)
+    return np.stack([across * np.cos(angle), across * np.sin(angle), height], -1)
+
+
 def look_at(position: ArrayLike, target: ArrayLike, up: ArrayLike = (0, 0, 1)) -> Matrix:
     """`world_from_camera` (OpenCV axes) of a camera at `position` whose z axis meets `target`, y axis away from `up`."""
     position = np.asarray(position, np.float64)

@@ -146,8 +146,8 @@ class ScheduleConfig(Schema):
     grid_from: float = setting(0.0, "Occupancy: no cell is ruled out earlier.", ge=0, le=1)
     share_from: float = setting(
         1.0,
-        "From then on, on ever more rays of the object, the first surface is the first sample of half the largest weight; "
-        "before, the first above the median weight (the paper's rule). 0: on all rays from the start.",
+        "From then on, on ever more rays of the object, the first surface is the first sample of at least half the largest "
+        "weight; before, the first above the median weight (the paper's rule). 0: on all rays from the start.",
         ge=0,
         le=1,
     )

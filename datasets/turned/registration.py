@@ -12,7 +12,7 @@ from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.core.progress import Step, ignore
 from koala3d.datasets.scene import Scene
 from koala3d.datasets.turned.outlines import Outlines, outlines_of
-from koala3d.datasets.turned.search import STARTS, found, rotations, turned_by
+from koala3d.datasets.turned.search import STARTS, found, turned_by
 from koala3d.datasets.turned.tangency import Fit, Pairs
 
 Array = NDArray[np.float64]
@@ -116,7 +116,7 @@ _ADVICE = "choose one with --points or --rough, or fix something to the object t
 def starts_of(start: Array | None) -> list[Array]:
     """Where the search begins: everywhere, or near what a person says."""
     if start is None:
-        return list(rotations(STARTS))
+        return list(pose.rotations(STARTS))
     turns = np.concatenate([np.zeros((1, 3)), NEARBY * np.eye(3), -NEARBY * np.eye(3)])
     starts = [Rotation.from_rotvec(turn).as_matrix() @ start[:3, :3] for turn in turns]
     return [start if not number else one for number, one in enumerate(starts)]

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from koala3d.datasets import pose
 from koala3d.datasets.core.progress import Step, ignore
@@ -21,15 +20,6 @@ MOST = 30
 """Steps of the last round, with all that there is."""
 APART = np.deg2rad(4.0)
 """Motions whose turns differ by less are one."""
-
-
-def rotations(count: int) -> Array:
-    """(count, 3, 3) rotations, evenly spread: the super-Fibonacci spirals of Alexa (CVPR 2022)."""
-    index = np.arange(count) + 0.5
-    share, first, second = index / count, 2 * np.pi * index / np.sqrt(2), 2 * np.pi * index / 1.533751168755204288118041
-    inner, outer = np.sqrt(share), np.sqrt(1 - share)
-    quaternions = [inner * np.sin(first), inner * np.cos(first), outer * np.sin(second), outer * np.cos(second)]
-    return np.asarray(Rotation.from_quat(np.stack(quaternions, -1)).as_matrix(), np.float64)
 
 
 def found(a: Outlines, b: Outlines, starts: Sequence[Array], *, done: Step = ignore) -> list[Fit]:

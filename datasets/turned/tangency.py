@@ -175,7 +175,7 @@ class Pairs:
         if not np.linalg.eigvalsh(normal)[0] > 0:
             return np.diag(np.full(6, np.inf))
         pulls = (weights * found)[..., None] * slopes
-        sides = np.argmax(self.normals(fit.a_from_b) @ evenly_spread(SIDES).T, -1)
+        sides = np.argmax(self.normals(fit.a_from_b) @ pose.directions(SIDES).T, -1)
         by_side = np.stack([np.bincount(sides.ravel(), pull, SIDES) for pull in pulls.reshape(-1, 7).T], -1)
         groups = pulls.sum((1, 2)), pulls.sum((0, 2)), by_side[np.any(by_side != 0, -1)]
         by = [np.linalg.solve(normal, group.T)[:6] for group in groups]
@@ -187,13 +187,6 @@ class Pairs:
         up, out = planes.up[..., None, :], planes.out[..., None, :]
         across = np.sum(of_a * out, -1, keepdims=True) * up - np.sum(of_a * up, -1, keepdims=True) * out
         return across / np.linalg.norm(across, axis=-1, keepdims=True) * np.array([[1.0], [-1.0]])
-
-
-def evenly_spread(count: int) -> Array:
-    """(count, 3) unit vectors that cover the sphere evenly (Fibonacci lattice)."""
-    height = 1 - (2 * np.arange(count) + 1) / count
-    angle, across = np.arange(count) * np.pi * (3 - np.sqrt(5)), np.sqrt(1 - height**2)
-    return np.stack([across * np.cos(angle), across * np.sin(angle), height], -1)
 
 
 def spread(values: Array) -> float:

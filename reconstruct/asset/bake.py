@@ -6,13 +6,15 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from koala3d.datasets import pose
 from koala3d.datasets.core.console import progress
 from koala3d.reconstruct.asset import light as light_module
-from koala3d.reconstruct.asset import sphere, visibility
+from koala3d.reconstruct.asset import sphere
 from koala3d.reconstruct.asset.certainty import ENOUGH, Certainty, Sightings
 from koala3d.reconstruct.asset.light import Light, Unlit
 from koala3d.reconstruct.asset.material_samples import MaterialSamples, Shader, sample_material
 from koala3d.reconstruct.asset.reflections import Reflectances, Reflections, joined, reflections
+from koala3d.reconstruct.output.mesh import visibility
 from koala3d.reconstruct.output.trained_model import TrainedModel
 
 LIGHT_POINTS = 8000  # points of the surface from which the light is found
@@ -44,7 +46,7 @@ class Surface:
     def __init__(self, trained: TrainedModel, points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"]) -> None:
         self.trained, self.points, self.normals = trained, points, normals
         self.samples: MaterialSamples = sample_material(trained, points, normals)
-        self.towards = visibility.directions()
+        self.towards = pose.directions(visibility.DIRECTIONS)
         self.is_open = visibility.open_to(points, normals, self.towards)
         self.shines = hasattr(trained.model.field.appearance, "view")
 

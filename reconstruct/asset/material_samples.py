@@ -3,9 +3,7 @@
 A point's material is composited along a short way through the surface, against the mesh's normal, as a picture's pixel is.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, fields
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -18,8 +16,8 @@ from koala3d.reconstruct.field.lit import Lit
 from koala3d.reconstruct.numerics.compiling import compiled
 from koala3d.reconstruct.numerics.safe import normalise
 from koala3d.reconstruct.numerics.volume import optical_depth, volume_weights
+from koala3d.reconstruct.output.mesh.field_samples import by_chunks
 from koala3d.reconstruct.output.trained_model import TrainedModel
-from koala3d.reconstruct.rendering.pictures import ahead
 from koala3d.reconstruct.scene.light import LightFrame
 from koala3d.reconstruct.scene.space import Space
 
@@ -63,7 +61,7 @@ def sample_material(
     def evaluate(start: Array, outward: Array) -> Array:
         return _composited(field, start, outward, jnp.asarray(step, jnp.float32), space, frame)
 
-    values = by_chunks(evaluate, places, normals)
+    values = by_chunks(evaluate, places, normals, size=CHUNK)
     material = Material.unstacked(jnp.asarray(values[:, 1:].T))
     predicted = np.asarray(material.normals_pred).T
     length = np.linalg.norm(predicted, axis=-1, keepdims=True)
@@ -83,21 +81,7 @@ class Shader:
         """Linear light of some of the points, by their indices, towards cameras that look along unit directions."""
         chosen = self._samples
         evaluate = lambda channels, normals, along: _specular(self._field, channels, normals, along, self._frame)  # noqa: E731
-        return by_chunks(evaluate, chosen.channels[which], chosen.normals[which], viewdirs)
-
-
-def by_chunks(function: Callable[..., Any], *arrays: Float[np.ndarray, "n _"]) -> Float[np.ndarray, "n _"]:
-    """Rows of a function of (channels, CHUNK) arrays at the rows of some arrays."""
-
-    def part(start: int) -> Any:
-        padded = [np.zeros((array.shape[1], CHUNK), np.float32) for array in arrays]
-        for whole, array in zip(padded, arrays, strict=True):
-            whole[:, : max(len(array) - start, 0)] = array[start : start + CHUNK].T
-        return function(*map(jnp.asarray, padded))
-
-    count = len(arrays[0])
-    found = [np.asarray(values).T for values in ahead(part(start) for start in range(0, max(count, 1), CHUNK))]
-    return np.concatenate(found)[:count]
+        return by_chunks(evaluate, chosen.channels[which], chosen.normals[which], viewdirs, size=CHUNK)
 
 
 @compiled

@@ -18,7 +18,7 @@ from koala3d.reconstruct.output.mesh.closing import is_closed, mended
 from koala3d.reconstruct.output.mesh.field_samples import frontal_colours, grid_axes, predicted_normals, sample_density
 from koala3d.reconstruct.output.mesh.isolation import SIDES, fill_interior, isolate_object
 from koala3d.reconstruct.output.mesh.refinement import follow_normals
-from koala3d.reconstruct.output.mesh.solid import AROUND, SHELLS, Solid, inside
+from koala3d.reconstruct.output.mesh.solid import AROUND, SHELLS, Solid
 from koala3d.reconstruct.output.trained_model import TrainedModel
 
 if TYPE_CHECKING:
@@ -118,8 +118,7 @@ def _shells(
         shell = _cut(density, threshold, spacing, first) if threshold < density.max() else None
         if shell is None or not is_closed(shell):
             return None
-        volume, centre = inside(shell)
-        found.append((volume / known.scale**3, centre / known.scale + known.centre))
+        found.append((shell.volume / known.scale**3, shell.center_mass / known.scale + known.centre))
     return found
 
 

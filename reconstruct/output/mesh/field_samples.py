@@ -68,16 +68,17 @@ def predicted_normals(trained: TrainedModel, points: NDArray) -> NDArray[np.floa
 
 
 def by_chunks(function: Callable[..., Float[Array, "channels n"]], *arrays: NDArray, size: int = CHUNK) -> NDArray[np.float32]:
-    """(n, channels) values of a function of (3, size) arrays at the rows of (n, 3) arrays."""
+    """(n, channels) values of a function of (k, size) arrays at the rows of (n, k) arrays."""
     count = len(arrays[0])
-    begun = (function(*(_padded(array[start : start + size], size) for array in arrays)) for start in range(0, count, size))
+    starts = range(0, max(count, 1), size)  # of no rows, too, there are channels
+    begun = (function(*(_padded(array[start : start + size], size) for array in arrays)) for start in starts)
     return np.concatenate([np.asarray(found).T for found in ahead(begun)])[:count]
 
 
-def _padded(points: NDArray, size: int = CHUNK) -> Float[Array, "3 n"]:
-    """(3, size): one compiled program serves all chunks."""
-    padded = np.zeros((3, size), np.float32)
-    padded[:, : len(points)] = points.T
+def _padded(rows: NDArray, size: int = CHUNK) -> Float[Array, "k n"]:
+    """(k, size): one compiled program serves all chunks."""
+    padded = np.zeros((rows.shape[1], size), np.float32)
+    padded[:, : len(rows)] = rows.T
     return jnp.asarray(padded)
 
 

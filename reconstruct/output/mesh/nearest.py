@@ -119,10 +119,13 @@ class Nearest:
         return found
 
     def shares(self, feet: Feet) -> Float[np.ndarray, "n 3"]:
-        """Barycentric coordinates of feet in their triangles, in 0..1."""
+        """Barycentric coordinates of feet in their triangles, in 0..1; alike for the corners of one without area."""
         from trimesh.triangles import points_to_barycentric
 
-        shares = np.nan_to_num(points_to_barycentric(self._triangles[feet.triangles], feet.points), nan=1 / 3)
+        triangles, shares = self._triangles[feet.triangles], np.full((len(feet.points), 3), 1 / 3)
+        across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+        has_area = np.sum(across * across, -1) > 0
+        shares[has_area] = points_to_barycentric(triangles[has_area], feet.points[has_area], method="cross")
         shares = np.clip(shares, 0, 1)
         return shares / np.maximum(shares.sum(-1, keepdims=True), 1e-12)
 

@@ -43,7 +43,7 @@ class Solid:
         """What a surface of `extraction.extract` encloses; None where it is open."""
         if not is_closed(surface):
             return None
-        volume, centre = inside(surface)
+        volume, centre = float(surface.volume), surface.center_mass
         shells = surface.metadata.get(SHELLS)
         if shells is None:
             return cls(volume, _vector(centre), None, None)
@@ -71,15 +71,6 @@ class Solid:
         off = float(1e3 * np.linalg.norm(self.centre_deviation))
         volume += f" ± {cubic * self.volume_deviation:.2g}"
         return f"volume {volume} {unit}, centre of mass at {at} ± {off:.2g} {small}"
-
-
-def inside(surface: "trimesh.Trimesh") -> tuple[float, Float[np.ndarray, " 3"]]:
-    """Volume of a closed surface, and its middle: sums over the tetrahedra from one point to each triangle."""
-    origin = surface.vertices.mean(0)
-    corners = np.asarray(surface.triangles, np.float64) - origin
-    volumes = np.linalg.det(corners) / 6
-    total = float(volumes.sum())
-    return total, origin + (volumes @ corners.sum(1)) / (4 * total)
 
 
 def _shift(scene: Scene) -> float:

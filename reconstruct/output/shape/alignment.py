@@ -5,8 +5,8 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
+from koala3d.datasets import pose
 from koala3d.datasets.core.errors import UsageError
 from koala3d.reconstruct.output.mesh.nearest import Nearest
 from koala3d.reconstruct.output.shape.motion import Fit, Samples, closest
@@ -120,16 +120,6 @@ def _about(fit: Fit, scale: float, middle: Float[np.ndarray, " 3"]) -> Fit:
     return replace(fit, matrix=matrix, scale=scale)
 
 
-def rotations(count: int) -> Float[np.ndarray, "count 3 3"]:
-    """Rotations that cover all of them evenly (super-Fibonacci spirals, Alexa 2022, algorithm 1)."""
-    phi, psi = np.sqrt(2), 1.533751168755204288118041
-    at = np.arange(count) + 0.5
-    inner, outer = np.sqrt(at / count), np.sqrt(1 - at / count)
-    alpha, beta = 2 * np.pi * at / phi, 2 * np.pi * at / psi
-    quaternions = np.stack([inner * np.sin(alpha), inner * np.cos(alpha), outer * np.sin(beta), outer * np.cos(beta)], -1)
-    return Rotation.from_quat(quaternions).as_matrix()
-
-
 def _found(samples: Samples, target: Nearest, first: Stated, second: Stated) -> tuple[Float[np.ndarray, "4 4"], bool]:
     """A pose to begin at, and whether one that is turned otherwise fits as well.
 
@@ -137,7 +127,7 @@ def _found(samples: Samples, target: Nearest, first: Stated, second: Stated) -> 
     steps with a few points.
     """
     few = samples.some(FEW)
-    turns = rotations(TURNS)
+    turns = pose.rotations(TURNS)
     starts = np.tile(np.eye(4), (TURNS, 1, 1))
     starts[:, :3, :3], starts[:, :3, 3] = turns, second.mesh.centroid - turns @ first.mesh.centroid
     followed = [closest(few, target, start, steps=30) for start in _improved(starts, samples.some(LEAST).points, target)]
@@ -172,7 +162,7 @@ def _improved(
 
 def _turned(one: Fit, other: Fit) -> float:
     """Angle between two poses [deg]."""
-    return float(np.rad2deg(Rotation.from_matrix(one.matrix[:3, :3].T @ other.matrix[:3, :3]).magnitude()))
+    return float(np.rad2deg(pose.difference(one.matrix, other.matrix)[1]))
 
 
 def _misfit(fit: Fit, samples: Samples, target: Nearest) -> float:

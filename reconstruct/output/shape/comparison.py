@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from koala3d.datasets.core.errors import UsageError
 from koala3d.reconstruct.output.mesh.nearest import Nearest
 from koala3d.reconstruct.output.shape.alignment import Aligned, By, align
-from koala3d.reconstruct.output.shape.places import Place, places
+from koala3d.reconstruct.output.shape.places import Place, places, vertex_areas
 from koala3d.reconstruct.output.shape.stated import Stated, finer
 
 TOLERANCE = 1e-3
@@ -103,7 +103,7 @@ def compare(
     for known in (first.known, None if second.known is None else target.at(feet, second.known.astype(float)) > 0.5):
         compared &= True if known is None else known
     faces = np.asarray(first.mesh.faces)
-    areas = np.bincount(faces.reshape(-1), np.repeat(first.mesh.area_faces / 3, 3), minlength=len(vertices))
+    areas = vertex_areas(first.mesh)
     if not areas[compared].sum() > 0:
         why = "nothing of A lies on B where both are known"
         raise UsageError("nothing can be compared", where=f"{first.name}, {second.name}", why=why, remedy="compare one object")

@@ -15,7 +15,7 @@ from koala3d.reconstruct.field.lit import Lit
 from koala3d.reconstruct.numerics.compiling import compiled
 from koala3d.reconstruct.numerics.volume import OPAQUE, optical_depth
 from koala3d.reconstruct.output.mesh.field_samples import by_chunks
-from koala3d.reconstruct.output.mesh.surface_distance import seen_by
+from koala3d.reconstruct.output.mesh.visibility import seen_from
 from koala3d.reconstruct.output.trained_model import TrainedModel
 from koala3d.reconstruct.scene.light import LightFrame
 from koala3d.reconstruct.scene.rays import scaled_camera
@@ -24,8 +24,6 @@ from koala3d.reconstruct.scene.space import Space
 if TYPE_CHECKING:
     import trimesh
 
-GRAZING = 0.1
-"""Cosine between normal and direction to the camera below which a view does not count."""
 STEPS, REACH = 17, 1 / 48
 """Samples along the normal through the surface, and half the length of this way in the longest side of the object's box."""
 EARLY, LATE = 0.16, 0.84
@@ -88,11 +86,8 @@ def _seen(
     count, total, depth = np.zeros(len(points), np.int64), np.zeros((len(points), 3)), np.full(len(points), np.inf)
     widths = []
     with progress("looking at the surface from the cameras", len(views), "views") as shown:
-        for view in views:
-            rays = points - view.world_from_camera[:3, 3]
-            away = np.maximum(np.linalg.norm(rays, axis=-1), 1e-12)
-            rays = rays / away[:, None]
-            seen = seen_by(points, view) & (np.sum(rays * normals, -1) < -GRAZING)
+        for view, (seen, rays) in zip(views, seen_from(points, normals, views), strict=True):
+            away = np.linalg.norm(points - view.world_from_camera[:3, 3], axis=-1)
             count += seen
             total[seen] += rays[seen]
             widths.append(away / scaled_camera(view, trained.run.config.scale).fx)

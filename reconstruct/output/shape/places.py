@@ -1,10 +1,13 @@
 """Connected places of a surface at which something holds."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+
+if TYPE_CHECKING:
+    import trimesh
 
 SMALLEST_VERTICES, SMALLEST_SHARE = 6, 1e-4
 """Fewer vertices, or a smaller share of the surface, are no place: single vertices exceed any bound by chance."""
@@ -28,6 +31,11 @@ class Place:
     def to_json(self) -> dict[str, Any]:
         """For a file."""
         return {"point_m": self.point.tolist(), "deviation_m": self.deviation, "std_m": self.std, "area_m2": self.area}
+
+
+def vertex_areas(mesh: "trimesh.Trimesh") -> Float[np.ndarray, " v"]:
+    """Area around each vertex: a third of each of its triangles."""
+    return np.bincount(np.asarray(mesh.faces).reshape(-1), np.repeat(mesh.area_faces / 3, 3), minlength=len(mesh.vertices))
 
 
 def places(

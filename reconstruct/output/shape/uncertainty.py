@@ -20,6 +20,7 @@ from jaxtyping import Bool, Float
 from koala3d.datasets.core import files
 from koala3d.reconstruct.output.shape import common, evidence
 from koala3d.reconstruct.output.shape.evidence import Evidence
+from koala3d.reconstruct.output.shape.places import vertex_areas
 from koala3d.reconstruct.output.trained_model import TrainedModel
 
 if TYPE_CHECKING:
@@ -97,12 +98,11 @@ def of(trained: TrainedModel, mesh: "trimesh.Trimesh") -> Uncertain:
     local, known = deviations(found, NUMBERS), is_known(found)
     known &= local < WIDEST * size
     points = np.asarray(mesh.vertices, np.float64)
-    areas = np.bincount(np.asarray(mesh.faces).reshape(-1), np.repeat(mesh.area_faces / 3, 3), minlength=len(points))
     whole = common.of(trained.scene, points[known] if known.any() else points)
     return Uncertain(
         np.where(known, local, WIDEST * size),
         known,
-        areas,
+        vertex_areas(mesh),
         np.zeros(len(points)) if whole is None else whole.along(points, np.asarray(mesh.vertex_normals)),
         None if whole is None else whole.scale_std,
         None if whole is None else whole.place_std,

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from scipy.special import lpmv
 
-from koala3d.reconstruct.asset.visibility import directions
+from koala3d.datasets.pose import directions
 from koala3d.reconstruct.splats import harmonics
 
 SINGLE = 1e-5  # normal equations in single precision

@@ -8,7 +8,7 @@ import pytest
 
 from koala3d.datasets import pose
 from koala3d.datasets.camera_model import Camera
-from koala3d.reconstruct.asset.visibility import directions
+from koala3d.datasets.pose import directions
 from koala3d.reconstruct.splats import harmonics
 from koala3d.reconstruct.splats.splats import Splats
 from koala3d.reconstruct.splats.writing import saving

@@ -26,14 +26,6 @@ def seen_from(
         yield seen_by(points, view) & (np.sum(rays * normals, -1) < -GRAZING), rays
 
 
-def directions(count: int = DIRECTIONS) -> Float[np.ndarray, "count 3"]:
-    """Unit vectors that cover the sphere evenly (Fibonacci lattice)."""
-    height = 1 - (2 * np.arange(count) + 1) / count
-    angle = np.arange(count) * np.pi * (3 - np.sqrt(5))
-    across = np.sqrt(1 - height**2)
-    return np.stack([across * np.cos(angle), across * np.sin(angle), height], -1)
-
-
 def open_to(
     points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"], towards: Float[np.ndarray, "m 3"]
 ) -> Bool[np.ndarray, "m n"]:
