@@ -31,6 +31,7 @@ def sample(
     space: Space,
     *,
     max_per_ray: int,
+    enough: tuple[int, int] | None = None,
 ) -> Rows:
     """As `reconstruct.sampling.plain.sample`."""
     count = rays.origins.shape[0]
@@ -38,7 +39,8 @@ def sample(
     cuts = jnp.stack([steps.near, steps.enter, steps.leave, steps.far])
     parts = (steps.front, steps.inside, steps.behind)
     choices = np.array([*parts, occupancy.grid, occupancy.outer_grid, MAPS[type(space)]], np.int32)
-    arguments = (rays.origins, rays.directions, cuts, jitter, offset, occupancy.depth, choices, _numbers(space))
+    wanted = np.array(enough or (count + 1, count * max_per_ray + 1), np.int32)  # more than there can be: all rays
+    arguments = (rays.origins, rays.directions, cuts, jitter, offset, occupancy.depth, choices, _numbers(space), wanted)
     return Rows(*native.call("sample", results, *arguments))
 
 

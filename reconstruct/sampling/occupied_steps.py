@@ -132,7 +132,7 @@ class OccupiedSteps(Sampler):
     def batch(self, rays: Rays, colour: Float[Array, "rays 4"], key: PRNGKeyArray) -> Batch:
         """Rays that meet something, with their samples."""
         jitter, offset = barrier(jax.random.uniform(key, (2, self.rays_drawn)))
-        rows = self._rows(rays, jitter, offset)
+        rows = self._rows(rays, jitter, offset, enough=(self.rays_kept, self.capacity))
         order, used, samples = _way(rays).pack(rows, rays=self.rays_kept, capacity=self.capacity)
         if self.rays_kept < self.rays_drawn:  # empty rays have nothing to learn from
             rays, colour = jax.tree.map(lambda a: a[order], (rays, colour))
@@ -149,10 +149,17 @@ class OccupiedSteps(Sampler):
         samples = RaySamples.in_rows(*self._rows(rays, middle, middle))
         return Sampled(samples, Footprint(), jnp.ones(middle.shape, bool))
 
-    def _rows(self, rays: Rays, jitter: Float[Array, " rays"], offset: Float[Array, " rays"]) -> Rows:
-        """Samples of rays, before they are packed."""
+    def _rows(
+        self,
+        rays: Rays,
+        jitter: Float[Array, " rays"],
+        offset: Float[Array, " rays"],
+        enough: tuple[int, int] | None = None,
+    ) -> Rows:
+        """Samples of rays, before they are packed; `enough` as of `plain.sample`."""
         steps = Steps.of(rays, steps=self.steps, space=self.space, near=self.near, far=self.far)
-        return barrier(_way(rays).sample(self.grid, rays, steps, jitter, offset, self.space, max_per_ray=self.max_per_ray))
+        options = {"max_per_ray": self.max_per_ray, "enough": enough}
+        return barrier(_way(rays).sample(self.grid, rays, steps, jitter, offset, self.space, **options))
 
     def met(self, batch: Batch, density: Float[Array, " n"]) -> Met:
         """Cells that samples lie in, and the densities found there."""

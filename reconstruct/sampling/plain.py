@@ -21,12 +21,15 @@ def sample(
     space: Space,
     *,
     max_per_ray: int,
+    enough: tuple[int, int] | None = None,
 ) -> Rows:
     """The drawn steps of each ray, each standing for its length over its probability; `max_per_ray - 1` are expected.
 
     Args:
         jitter: where in their steps a ray's samples lie, 0 to 1.
         offset: where in the sum of probabilities a ray's draw begins, 0 to 1.
+        enough: rays with samples, and samples, that the list will hold: once the rays before have so many, the others may be
+            left without any.
     """
     depth = barrier(expected_depth(occupancy, rays, steps, jitter, space))
     probability = barrier(draw_probability(depth, max_per_ray - 1))

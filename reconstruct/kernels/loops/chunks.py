@@ -8,7 +8,7 @@ chunks that somebody has begun; so nothing is waited for that may never run. Hel
 What the threads share is a block of six integers, which the last of them gives back:
 
     0   next chunk         8   chunks done       16   threads that hold the block
-    24  chunks             32  frame of the call     40   what does a chunk, a function's address
+    24  end of the chunks  32  frame of the call     40   what does a chunk, a function's address
 """
 
 from llvmlite import ir
@@ -19,7 +19,7 @@ from koala3d.reconstruct.kernels.loops.compiler import intrinsic, plain
 from koala3d.reconstruct.kernels.loops.frame import API, CALL_FRAME, load_word, store_word
 
 _API, _CONTEXT, _SCHEDULE = CALL_FRAME["api"], CALL_FRAME["context"], API["schedule"]
-_NEXT, _DONE, _HOLDERS, _COUNT, _FRAME, _WORK, _SIZE = 0, 8, 16, 24, 32, 40, 48
+_NEXT, _DONE, _HOLDERS, _END, _FRAME, _WORK, _SIZE = 0, 8, 16, 24, 32, 40, 48
 WORD = ir.IntType(64)
 _REQUEST_SIZE = 40
 """Of XLA_FFI_ThreadPool_Schedule_Args: its size, extensions, the context, the task and what the task is given."""
@@ -122,10 +122,10 @@ def address_of(work, arguments):
 @plain
 def _take(block):
     """Do chunks as long as there are any."""
-    count = load_word(block + _COUNT)
+    end = load_word(block + _END)
     while True:
         chunk = _fetch_add(block + _NEXT, 1)
-        if chunk >= count:
+        if chunk >= end:
             return
         _do(load_word(block + _WORK), load_word(block + _FRAME), chunk)
         _fetch_add(block + _DONE, 1)
@@ -163,23 +163,26 @@ def _ask_for_help(frame, block):
 
 
 @plain
-def in_chunks(frame, work, count, worth_help):
-    """Call the function at address `work` with the frame and each chunk below `count`; by one thread unless two are worth it."""
-    if count < 2 or not worth_help:
-        for chunk in range(count):
+def in_chunks(frame, work, first, end, worth_help):
+    """Call the function at address `work` with the frame and each chunk from `first` to before `end`.
+
+    One thread does it unless two are worth it.
+    """
+    if end - first < 2 or not worth_help:
+        for chunk in range(first, end):
             _do(work, frame, chunk)
         return
     block = _allocate(_SIZE)
-    store_word(block + _NEXT, 0)
-    store_word(block + _DONE, 0)
+    store_word(block + _NEXT, first)
+    store_word(block + _DONE, first)
     store_word(block + _HOLDERS, 1)
-    store_word(block + _COUNT, count)
+    store_word(block + _END, end)
     store_word(block + _FRAME, frame)
     store_word(block + _WORK, work)
     _ask_for_help(frame, block)
     _take(block)
     looks = 0
-    while _fetch_add(block + _DONE, 0) < count:
+    while _fetch_add(block + _DONE, 0) < end:
         looks += 1
         if looks > PATIENCE:
             _step_aside()
@@ -189,4 +192,4 @@ def in_chunks(frame, work, count, worth_help):
 @plain
 def in_chunks_of(frame, work, count, size):
     """The same for so many things, `size` of them in a chunk."""
-    in_chunks(frame, work, (count + size - 1) // size, True)
+    in_chunks(frame, work, 0, (count + size - 1) // size, True)

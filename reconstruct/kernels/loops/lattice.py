@@ -247,7 +247,7 @@ def encode(frame):
     """Table to values (features, levels, n) and, where there is a second result, derivatives (features, levels, 3, n)."""
     if executes(frame):
         levels = argument_size(frame, 1, 0)
-        in_chunks(frame, _address_of_encoding(), levels, argument_size(frame, 0, 1) * levels >= BUSY)
+        in_chunks(frame, _address_of_encoding(), 0, levels, argument_size(frame, 0, 1) * levels >= BUSY)
     return 0
 
 
@@ -255,5 +255,5 @@ def encode(frame):
 def scatter(frame):
     """Cotangents of the values, and of the derivatives where they are given, to the gradient of the table (features, rows)."""
     if executes(frame):
-        in_chunks(frame, _address_of_scattering(), argument_size(frame, 1, 0), True)
+        in_chunks(frame, _address_of_scattering(), 0, argument_size(frame, 1, 0), True)
     return 0

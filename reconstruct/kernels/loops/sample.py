@@ -1,19 +1,19 @@
 """Samples along rays, as a compiled loop: march and draw, one ray after the other; see `reconstruct.sampling.plain.sample`.
 
-Arrays of a call: origins (n, 3), directions (n, 3), cuts (4, n), jitter (n,), offset (n,), grid, choices and numbers of `march`.
-Results: t (n, most), length (n, most), count (n,): samples of each ray, first in its row; the rest of it has t = 1 and no length.
+Arrays of a call: origins (n, 3), directions (n, 3), cuts (4, n), jitter (n,), offset (n,), grid, choices and numbers of `march`,
+and how many rays with samples and how many samples are enough (2,): rays that are not needed for them are not marched. Results: t (n, most), length (n, most), count (n,): samples of each ray, first in its row; the rest of it has t = 1 and no length.
 """
 
 import numpy as np
 
-from koala3d.reconstruct.kernels.loops.chunks import address_of, in_chunks_of
+from koala3d.reconstruct.kernels.loops.chunks import address_of, in_chunks
 from koala3d.reconstruct.kernels.loops.compiler import compiled, handler
 from koala3d.reconstruct.kernels.loops.draw import draw_ray
 from koala3d.reconstruct.kernels.loops.frame import argument, argument_size, executes, result, result_size
 from koala3d.reconstruct.kernels.loops.march import march_ray
 
-RAYS = 64
-"""Of a chunk."""
+RAYS, AT_ONCE = 64, 4
+"""Rays of a chunk, and chunks after which it is seen whether there are enough samples: the same whatever threads there are."""
 f4, i4 = np.float32, np.int32
 
 
@@ -43,9 +43,39 @@ def _sample_rays(frame, chunk):
 _address_of_sampling = address_of(_sample_rays, 2)
 
 
+@compiled
+def _found(drawn, first, end):
+    """Rays that have samples from `first` to before `end`, and their samples."""
+    rays, samples = 0, 0
+    for ray in range(first, end):
+        rays += np.int64(drawn[ray] > 0)
+        samples += np.int64(drawn[ray])
+    return rays, samples
+
+
+@compiled
+def _leave_out(frame, first):
+    """Rays from `first` on have no samples."""
+    count, most = result_size(frame, 0, 0), result_size(frame, 0, 1)
+    t, length = result(frame, 0, (count, most), np.float32), result(frame, 1, (count, most), np.float32)
+    drawn = result(frame, 2, (count,), np.int32)
+    for ray in range(first, count):
+        drawn[ray] = 0
+        for slot in range(most):
+            t[ray, slot], length[ray, slot] = f4(1), f4(0)
+
+
 @handler
 def sample(frame):
-    """Samples of all rays."""
+    """Samples of the rays, one group of chunks after the other until there are enough."""
     if executes(frame):
-        in_chunks_of(frame, _address_of_sampling(), argument_size(frame, 0, 0), RAYS)
+        count, enough = argument_size(frame, 0, 0), argument(frame, 8, (2,), np.int32)
+        drawn, chunks = result(frame, 2, (count,), np.int32), (count + RAYS - 1) // RAYS
+        first, rays, samples = 0, 0, 0
+        while first < chunks and rays < enough[0] and samples < enough[1]:
+            end = min(first + AT_ONCE, chunks)
+            in_chunks(frame, _address_of_sampling(), first, end, True)
+            more = _found(drawn, first * RAYS, min(end * RAYS, count))
+            first, rays, samples = end, rays + more[0], samples + more[1]
+        _leave_out(frame, min(first * RAYS, count))
     return 0
