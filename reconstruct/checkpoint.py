@@ -24,6 +24,8 @@ KEPT = 2
 CHECKSUMS = "checksums.json"
 SCENE_SIZED = (".visits", ".per_image", ".poses", ".spread", ".by")
 """Ends of the paths of leaves whose length is the scene's, not the configuration's: taken as they were stored."""
+MEASURED = ".bounds.", ".start."
+"""In the paths of leaves that were measured on the scene: they are as run.json has them, whatever was stored."""
 MODEL = ".model"
 Tree = TypeVar("Tree")
 
@@ -152,7 +154,7 @@ def _filled(path: Path, like: Tree, stored: dict[str, Any], prefix: str, other_s
     leaves, structure = jax.tree.flatten(like)
     filled = []
     for name, leaf in zip(_names(like), leaves, strict=True):
-        if other_scene and name.endswith(SCENE_SIZED):
+        if any(part in name for part in MEASURED) or (other_scene and name.endswith(SCENE_SIZED)):
             filled.append(leaf)
             continue
         found = stored.get(prefix + name)

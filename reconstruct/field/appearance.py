@@ -79,25 +79,25 @@ class Start:
     """How far away the lamps are; None: infinitely."""
 
 
-@dataclass(frozen=True)
-class StartNormals:
+class StartNormals(eqx.Module):
     """Normals before anything is learned: those of a ball about the object, turned towards where the cameras are.
 
     A camera that looks down on a table must not begin with a table that faces away from it: what reflects no light towards
     the camera is left out of the picture, and fog before it takes its place.
     """
 
-    outward: float
-    towards: tuple[float, float, float]
+    outward: float = eqx.field(static=True)
+    towards: Float[Array, " 3"]
+    """Mean direction from the object to the cameras: data, so that what was compiled for one scene serves the next."""
 
     @classmethod
     def of(cls, field: FieldConfig, start: Start) -> "StartNormals":
         """Not turned where the cameras' direction is not known."""
-        return cls(field.outward, start.towards or (0.0, 0.0, 0.0))
+        return cls(field.outward, jnp.asarray(start.towards or (0.0, 0.0, 0.0), jnp.float32))
 
     def at(self, points: Float[Array, "3 n"]) -> Float[Array, "3 n"]:
         """Not unit: its length says how much the network must say to turn it."""
-        return self.outward * (points + jnp.asarray(self.towards)[:, None])
+        return self.outward * (points + self.towards[:, None])
 
 
 class Reflection(eqx.Module):
@@ -113,7 +113,7 @@ class Reflection(eqx.Module):
     diffuse_bias: float = eqx.field(static=True)
     specular_bias: float = eqx.field(static=True)
     roughness_bias: float = eqx.field(static=True)
-    start: StartNormals = eqx.field(static=True)
+    start: StartNormals
     moving: MovingLamps | None = None
     """None where lamps stand still about the object."""
     parallax: Parallax | None = None
@@ -228,7 +228,7 @@ class Matte(eqx.Module):
     """What is left of `Reflection` where nothing is reflected: the diffuse colour, and normals that the density's follow."""
 
     diffuse_bias: float = eqx.field(static=True)
-    start: StartNormals = eqx.field(static=True)
+    start: StartNormals
 
     heads: ClassVar[int] = 6
     """Diffuse (3), normal (3); the bottleneck follows."""

@@ -26,7 +26,7 @@ from koala3d.reconstruct.scene.facts import SceneFacts
 from koala3d.reconstruct.scene.rays import Rays
 from koala3d.reconstruct.scene.twists import Session, Twists
 
-HELD = ("blur", "grid", "outline", "spread")
+HELD = ("blur", "bounds", "grid", "outline", "spread", "start")
 """Names of the parts of a model that no gradient goes to: they follow a schedule, what a training meets, masks, or the scene."""
 
 

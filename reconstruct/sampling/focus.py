@@ -4,8 +4,6 @@ Surroundings fill most of a picture and say little of the object's shape. A step
 tells which of them meet matter in the object's box, and those are taken sooner.
 """
 
-from dataclasses import dataclass
-
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
@@ -25,24 +23,14 @@ BESIDE = 0.1
 """Weight of a ray that meets nothing in the box; each that surely meets something has 1 more."""
 
 
-@dataclass(frozen=True)
-class Focus:
-    """What is preferred, and by how much."""
-
-    half_box: tuple[float, float, float]
-    """Half the size of the object's box about the origin [scene unit]; it lies in the unit ball."""
-
-
-def weights(
-    occupancy: Occupancy, rays: Rays, half_box: tuple[float, float, float], jitter: Float[Array, " n"]
-) -> Float[Array, " n"]:
+def weights(occupancy: Occupancy, rays: Rays, half_box: Float[Array, " 3"], jitter: Float[Array, " n"]) -> Float[Array, " n"]:
     """How soon each ray should be taken: the opacity that the grid expects in the object's box, and `BESIDE`.
 
     Args:
-        half_box: half the size of the box about the origin [scene unit]; it lies in the unit ball.
+        half_box: as of `Bounds`.
         jitter: where in its step each place lies, 0 to 1.
     """
-    enter, leave = box_interval(rays, jnp.asarray(half_box) * (1 - INSET))
+    enter, leave = box_interval(rays, half_box * (1 - INSET))
     enter = jnp.maximum(enter, 0.0)  # what is behind the camera is not met
     step = jnp.maximum(leave - enter, 0.0) / PLACES
     t = enter[:, None] + (jnp.arange(PLACES) + jitter[:, None]) * step[:, None]

@@ -48,7 +48,7 @@ def _excess(distance: Float[np.ndarray, "x y z"], pixels: Pixels) -> float:
     """How far the border lies outside of the masks [scene unit]: rays of the object come that much deeper, others do not."""
     from scipy import ndimage
 
-    chosen = np.random.default_rng(0).permutation(pixels.total)[:RAYS]
+    chosen = np.random.default_rng(0).permutation(int(pixels.total))[:RAYS]
     rays, colour = pixels.take(jnp.asarray(np.sort(chosen)))
     enter, leave = (np.asarray(t, np.float64) for t in box_interval(rays))
     meet = leave > enter

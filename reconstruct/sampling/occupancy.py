@@ -67,6 +67,7 @@ class Occupancy(eqx.Module):
                 cells[inner:] &= possible
             extent[inner:] = 4 / outer_grid / np.square(np.maximum(2 - np.maximum(radius, 1), 0.05))
         visits = np.random.default_rng(seed).permutation(np.flatnonzero(cells))
+        visits = np.resize(visits, len(cells))  # again and again: programs serve scenes of which more or fewer cells are possible
         density = jnp.where(jnp.asarray(cells), jnp.inf, 0.0)
         depth = jnp.where(jnp.asarray(cells), UNKNOWN, 0.0).astype(jnp.float16)
         order, cursor = jnp.asarray(visits, jnp.int32), jnp.zeros((), jnp.int32)

@@ -20,6 +20,7 @@ from koala3d.reconstruct.sampling.occupancy import Occupancy
 from koala3d.reconstruct.sampling.sampler import Batch, Sampled, Sampler
 from koala3d.reconstruct.sampling.samples import Footprint, RaySamples, Rows, cloud_of
 from koala3d.reconstruct.sampling.steps import Steps
+from koala3d.reconstruct.scene.bounds import Bounds
 from koala3d.reconstruct.scene.facts import SceneFacts
 from koala3d.reconstruct.scene.frustum import Frustum
 from koala3d.reconstruct.scene.rays import Normalisation, Pixels, Rays
@@ -40,6 +41,7 @@ class OccupiedSteps(Sampler):
     """Rays are cut into steps; those in occupied cells are drawn as they are expected to contribute, and packed into a list."""
 
     grid: Occupancy
+    bounds: Bounds
     rays: int = eqx.field(static=True)
     capacity: int = eqx.field(static=True)
     """Entries of the list."""
@@ -47,10 +49,8 @@ class OccupiedSteps(Sampler):
     steps: int = eqx.field(static=True)
     """Steps of a ray through the object's box."""
     space: Space = eqx.field(static=True)
-    near: float = eqx.field(static=True)
-    far: float = eqx.field(static=True)
-    focused: focus.Focus | None = eqx.field(static=True)
-    """How rays that meet the object are preferred; None: they are not."""
+    prefers_object: bool = eqx.field(static=True)
+    """Whether rays that meet the object are taken sooner."""
     empty_below: float = eqx.field(static=True)
     """Optical depth of a step below which its cell is empty; 0: no cell is."""
 
@@ -62,12 +62,9 @@ class OccupiedSteps(Sampler):
         cls, key: PRNGKeyArray, config: Config, facts: SceneFacts, possible: NDArray[Any] | None, density_bias: float
     ) -> "OccupiedSteps":
         """With a full grid, less what is not `possible`."""
-        sampler, normalisation = config.sampler, facts.normalisation
-        space = normalisation.space
-        focused = None
-        if facts.box_is_stated and facts.half_box is not None and not space.single_grid:
-            focused = focus.Focus(facts.half_box)
+        sampler, space = config.sampler, facts.normalisation.space
         return cls(
+            bounds=Bounds.of(facts),
             grid=Occupancy.create(
                 config.train.seed,
                 grid=sampler.grid,
@@ -81,9 +78,7 @@ class OccupiedSteps(Sampler):
             max_per_ray=sampler.max_per_ray,
             steps=sampler.steps,
             space=space,
-            near=normalisation.near,
-            far=normalisation.far,
-            focused=focused,
+            prefers_object=facts.box_is_stated and facts.half_box is not None and not space.single_grid,
             empty_below=sampler.optical_depth if config.skip.empty_rays else 0.0,
         )
 
@@ -121,12 +116,13 @@ class OccupiedSteps(Sampler):
     def pixels(self, pixels: Pixels, key: PRNGKeyArray) -> Int[Array, " drawn"]:
         """Random ones; among surroundings rather those that show the object."""
         total = pixels.total
-        if self.focused is None:
+        half_box = self.bounds.half_box
+        if half_box is None or not self.prefers_object:
             return jax.random.randint(key, (self.rays_drawn,), 0, total)
         index_key, jitter_key, order_key = jax.random.split(key, 3)
         index = jax.random.randint(index_key, (focus.CANDIDATES * self.rays_drawn,), 0, total)
         rays, _ = barrier(pixels.take(barrier(index)))
-        weights = focus.weights(self.grid, rays, self.focused.half_box, jax.random.uniform(jitter_key, index.shape))
+        weights = focus.weights(self.grid, rays, half_box, jax.random.uniform(jitter_key, index.shape))
         return index[focus.taken(order_key, weights, self.rays_drawn)]
 
     def batch(self, rays: Rays, colour: Float[Array, "rays 4"], key: PRNGKeyArray) -> Batch:
@@ -157,7 +153,7 @@ class OccupiedSteps(Sampler):
         enough: tuple[int, int] | None = None,
     ) -> Rows:
         """Samples of rays, before they are packed; `enough` as of `plain.sample`."""
-        steps = Steps.of(rays, steps=self.steps, space=self.space, near=self.near, far=self.far)
+        steps = Steps.of(rays, steps=self.steps, space=self.space, near=self.bounds.near, far=self.bounds.far)
         options = {"max_per_ray": self.max_per_ray, "enough": enough}
         return barrier(_way(rays).sample(self.grid, rays, steps, jitter, offset, self.space, **options))
 

@@ -16,7 +16,9 @@ from koala3d.reconstruct.field.mlp import Mlp
 from koala3d.reconstruct.numerics.safe import safe_exp
 from koala3d.reconstruct.numerics.stepfun import inverse_power_ladder, power_ladder, sample_intervals
 from koala3d.reconstruct.numerics.volume import volume_weights
-from koala3d.reconstruct.scene.rays import Normalisation, Rays
+from koala3d.reconstruct.scene.bounds import Bounds
+from koala3d.reconstruct.scene.rays import Rays
+from koala3d.reconstruct.scene.space import Space
 
 Level = tuple[Float[Array, "rays _"], Float[Array, "rays _"]]
 """Normalised edges and weights of a proposal level."""
@@ -56,20 +58,20 @@ class Proposal(eqx.Module):
 class Spacing(eqx.Module):
     """The map between metric distance t and normalised distance s in [0, 1] of a ray."""
 
-    near: float = eqx.field(static=True)
-    far: float = eqx.field(static=True)
+    near: Float[Array, ""]
+    far: Float[Array, ""]
     linear: bool = eqx.field(static=True)
 
     @classmethod
-    def of(cls, normalisation: Normalisation) -> "Spacing":
+    def of(cls, bounds: Bounds, space: Space) -> "Spacing":
         """Linear for bounded scenes; a power ladder (p = -1.5, premultiplier 2) for unbounded ones."""
-        return cls(normalisation.near, normalisation.far, normalisation.bounded)
+        return cls(bounds.near, bounds.far, space.bounded)
 
     def t(self, s: Float[Array, "..."]) -> Float[Array, "..."]:
         """Metric distance of normalised distance."""
         if self.linear:
             return self.near + (self.far - self.near) * s
-        first, last = (power_ladder(jnp.asarray(v, jnp.float32), -1.5, 2.0) for v in (self.near, self.far))
+        first, last = (power_ladder(v, -1.5, 2.0) for v in (self.near, self.far))
         return inverse_power_ladder(first + (last - first) * s, -1.5, 2.0)
 
 

@@ -14,6 +14,7 @@ from koala3d.reconstruct.numerics.compiling import barrier
 from koala3d.reconstruct.sampling.proposals import Proposal, Spacing, propose
 from koala3d.reconstruct.sampling.sampler import Batch, Sampled, Sampler
 from koala3d.reconstruct.sampling.samples import Footprint, RaySamples, cloud_of
+from koala3d.reconstruct.scene.bounds import Bounds
 from koala3d.reconstruct.scene.facts import SceneFacts
 from koala3d.reconstruct.scene.rays import Normalisation, Pixels, Rays
 from koala3d.reconstruct.scene.space import Space
@@ -26,8 +27,8 @@ class ProposedIntervals(Sampler):
     rays: int = eqx.field(static=True)
     counts: tuple[int, ...] = eqx.field(static=True)
     """Intervals of each proposal level, then of the final one."""
+    bounds: Bounds
     space: Space = eqx.field(static=True)
-    spacing: Spacing
     frustum: str = eqx.field(static=True)
 
     rules_out_space: ClassVar[bool] = False
@@ -50,7 +51,7 @@ class ProposedIntervals(Sampler):
             rays=sampler.rays,
             counts=(*sampler.proposals, sampler.final),
             space=facts.normalisation.space,
-            spacing=Spacing.of(facts.normalisation),
+            bounds=Bounds.of(facts),
             frustum=sampler.frustum,
         )
 
@@ -104,7 +105,7 @@ class ProposedIntervals(Sampler):
         return Sampled(barrier(found.samples), found.footprint, found.fits)
 
     def _sampled(self, rays: Rays, key: PRNGKeyArray | None) -> Sampled:
-        count, turn = rays.origins.shape[0], None
+        count, turn, spacing = rays.origins.shape[0], None, Spacing.of(self.bounds, self.space)
         if self.frustum == "hexagon":
             turn = jnp.zeros(count) if key is None else 2 * jnp.pi * jax.random.uniform(key, (count,))
         footprint = Footprint(self.frustum, turn)
@@ -113,6 +114,6 @@ class ProposedIntervals(Sampler):
             cloud = cloud_of(rays, RaySamples.from_edges(tdist), space=self.space, footprint=footprint)
             return proposal.density(cloud).reshape(tdist.shape[0], -1)
 
-        edges, levels = propose(self.proposals, rays, self.spacing, self.counts, key, density_at)
-        samples = RaySamples.from_edges(self.spacing.t(edges))
+        edges, levels = propose(self.proposals, rays, spacing, self.counts, key, density_at)
+        samples = RaySamples.from_edges(spacing.t(edges))
         return Sampled(samples, footprint, jnp.ones(count, bool), edges, levels)

@@ -13,6 +13,7 @@ from koala3d.reconstruct.field.encodings.encoding import Encoding
 from koala3d.reconstruct.field.field import Field
 from koala3d.reconstruct.sampling.proposals import Level
 from koala3d.reconstruct.sampling.samples import Footprint, RaySamples
+from koala3d.reconstruct.scene.bounds import Bounds
 from koala3d.reconstruct.scene.facts import SceneFacts
 from koala3d.reconstruct.scene.rays import Normalisation, Pixels, Rays
 from koala3d.reconstruct.scene.space import Space
@@ -52,6 +53,7 @@ class Sampler(eqx.Module):
 
     space: eqx.AbstractVar[Space]
     """Where the field lives."""
+    bounds: eqx.AbstractVar[Bounds]
 
     rules_out_space: ClassVar[bool]
     """Whether it knows empty cells, from masks and from training."""

@@ -24,7 +24,9 @@ class Steps(eqx.Module):
     behind: int = eqx.field(static=True)
 
     @classmethod
-    def of(cls, rays: Rays, *, steps: int, space: Space, near: float, far: float) -> "Steps":
+    def of(
+        cls, rays: Rays, *, steps: int, space: Space, near: float | Float[Array, ""], far: float | Float[Array, ""]
+    ) -> "Steps":
         """Even steps through the object's cube or unit ball, with front and background around the ball; even in disparity
         where cameras share a frustum."""
         if isinstance(space, Frustum):

@@ -190,6 +190,12 @@ def _of_counted(view: View, camera: Camera, index: Int[np.ndarray, " n"] | None)
     return found
 
 
+def round_length(count: int) -> int:
+    """The next of sixteen lengths between a power of two and the next: at most a sixteenth is filling. At least 16."""
+    step = 2 ** max(count.bit_length() - 5, 0)
+    return max(-(-count // step) * step, 16)
+
+
 class Pixels(eqx.Module):
     """Every training pixel: its colour and its ray. Origins are kept per view."""
 
@@ -201,13 +207,25 @@ class Pixels(eqx.Module):
     radii: Float[Array, " views"]
     light: Float[Array, "views 3 3"] | None = None
     """See `Rays`."""
-    filled: int = eqx.field(static=True, default=0)
-    """Pixels at the end that only make their number a multiple of the devices."""
+    count: Int[Array, ""] | None = None
+    """How many pixels there are, if more follow that only fill the arrays; None: all are pixels."""
 
     @property
-    def total(self) -> int:
+    def total(self) -> int | Int[Array, ""]:
         """How many pixels there are."""
-        return self.directions.shape[0] - self.filled
+        return self.directions.shape[0] if self.count is None else self.count
+
+    def filled_up(self) -> "Pixels":
+        """The same in arrays of one of few lengths, so that what was compiled for one scene serves others of about its size."""
+        return self.filled(round_length(self.directions.shape[0]), round_length(self.origins.shape[0]))
+
+    def filled(self, pixels: int, views: int) -> "Pixels":
+        """The same in arrays of these lengths, which are not below those that they have."""
+        fill = lambda a, length: jnp.concatenate([a, jnp.zeros((length - len(a), *a.shape[1:]), a.dtype)])  # noqa: E731
+        of_pixels = {name: fill(getattr(self, name), pixels) for name in ("colour", "directions", "view")}
+        of_views = {name: fill(getattr(self, name), views) for name in ("origins", "radii")}
+        light = None if self.light is None else fill(self.light, views)
+        return replace(self, **of_pixels, **of_views, light=light, count=jnp.asarray(self.total, jnp.int32))
 
     @classmethod
     def load(

@@ -19,14 +19,16 @@ class Place:
     space: Space
     extended: bool = False
     """Whether each stands for an isotropic Gaussian as wide as its pixel's cone, which looks the same from all sides."""
-    half_box: tuple[float, float, float] | None = None
-    """Half the size of the object's box about the origin [scene unit]; None: there is nothing around the object."""
 
-    def in_box(self, rays: Rays, surface: Surface) -> Bool[Array, " n"]:
-        """Whether each surface point is in the object's box, less a margin into which what it stands on may reach."""
-        if self.half_box is None:
+    def in_box(self, rays: Rays, surface: Surface, half_box: Float[Array, " 3"] | None) -> Bool[Array, " n"]:
+        """Whether each surface point is in the object's box, less a margin into which what it stands on may reach.
+
+        Args:
+            half_box: as of `Bounds`.
+        """
+        if half_box is None:
             return jnp.ones(surface.t.shape, bool)
-        half = jnp.asarray(self.half_box)[:, None] * (1 - INSET)
+        half = half_box[:, None] * (1 - INSET)
         return jnp.all(jnp.abs(self.of(rays, surface).points) < half, 0)
 
     def of(self, rays: Rays, surface: Surface, offsets: Float[Array, "n around 3"] | None = None) -> Cloud:

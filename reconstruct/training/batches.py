@@ -57,12 +57,11 @@ class Division:
         if self.mesh is None or self.everywhere is None:
             return pixels
         part = jax.sharding.NamedSharding(self.mesh, jax.sharding.PartitionSpec(*self.mesh.axis_names))
-        filled = -pixels.total % self.mesh.size
-        fill = lambda a: np.concatenate([np.asarray(a), np.asarray(a[:1]).repeat(filled, 0)])  # noqa: E731
-        tables = [fill(a) for a in (pixels.colour, pixels.directions, pixels.view)]
-        kept: tuple[Any, ...] = on_all((pixels.origins, pixels.radii, pixels.light), self.everywhere)
+        pixels = pixels.filled(-(-len(pixels.view) // self.mesh.size) * self.mesh.size, len(pixels.origins))
+        tables = [np.asarray(a) for a in (pixels.colour, pixels.directions, pixels.view)]
+        kept: tuple[Any, ...] = on_all((pixels.origins, pixels.radii, pixels.light, pixels.count), self.everywhere)
         divided: list[Any] = on_all(tables, part)
-        return Pixels(*divided, *kept, filled=filled)
+        return Pixels(*divided, *kept)
 
     def spread(self, tree: Tree) -> Tree:
         """The arrays of a batch divided among the devices along their first axis; everything else is everywhere."""

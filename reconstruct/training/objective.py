@@ -74,13 +74,20 @@ class Objective:
         background = jax.random.uniform(background_key, (rays.origins.shape[0], 3))
         terms |= photometric(rendered, batch.colour, background, batch.used, model.per_image is not None)
         terms |= self.ray_terms(model, rendered, density, found, progress)
-        surfaces = self.surfaces(rendered, found.samples, rays, progress)
+        surfaces = self.surfaces(rendered, found.samples, rays, progress, model.sampler.bounds.half_box)
         follow = self.schedule.density_normals(progress)
         terms |= surface_point_terms(model.field, rays, surfaces.first, self.weights, self.place, follow)
         return total(terms), (terms, jax.lax.stop_gradient(density), surfaces.of_rays(self.second_rays))
 
-    def surfaces(self, rendered: Rendered, samples: RaySamples, rays: Rays, progress: Float[Array, ""]) -> Surfaces:
-        """First surfaces as data, by both rules: which one shapes follow is the schedule's."""
+    def surfaces(
+        self,
+        rendered: Rendered,
+        samples: RaySamples,
+        rays: Rays,
+        progress: Float[Array, ""],
+        half_box: Float[Array, " 3"] | None,
+    ) -> Surfaces:
+        """First surfaces as data, by both rules: which one shapes follow is the schedule's. `half_box`: as of `Bounds`."""
         by = lambda rule: find_surfaces(rendered.weights, samples, rays.radii, self.surface_rays, rule)  # noqa: E731
         solid, begins = jax.lax.stop_gradient(by("share")), self.schedule.config.schedule.share_from
         if not begins:
@@ -88,7 +95,7 @@ class Objective:
         found = Surfaces(jax.lax.stop_gradient(by("median")), solid)
         if begins == 1:
             return found
-        return found.settled(self.schedule.by_share(progress), self.place.in_box(rays, solid))
+        return found.settled(self.schedule.by_share(progress), self.place.in_box(rays, solid, half_box))
 
     def ray_terms(
         self, model: Model, rendered: Rendered, density: Float[Array, " n"], found: Sampled, progress: Float[Array, ""]

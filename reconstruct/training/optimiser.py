@@ -98,7 +98,9 @@ class Optimiser:
             new = eqx.tree_at(lambda m: m.session.by, new, jnp.where(finite, by - step, by))
         if learned.poses is not None:
             sigma = jnp.array(self.pose_sigma)
-            step = self.schedule.pose_rate(progress) * without_gauge(_parameters(update).poses, origins, sigma)
+            step = self.schedule.pose_rate(progress) * without_gauge(
+                _parameters(update).poses, origins[: len(learned.poses)], sigma
+            )
             new = eqx.tree_at(lambda m: m.poses, new, jnp.where(finite, learned.poses - step * sigma, learned.poses))
         return [new, _parameters(moments).mu, _parameters(moments).nu]
 

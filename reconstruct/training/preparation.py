@@ -75,6 +75,7 @@ def prepare(
         config, facts, others = decided(scene, pixels, normalisation, possible, matches, config)
         facts, skips = replace(facts, session=session), [*others, *skips]
     pixels = pixels.under(facts.light, views)
+    pixels = pixels.filled_up() if pool is None else pixels
     if fresh:
         config = sized(config, facts, pixels)
     config = Config.model_validate_json(distributed.decided_text(config.model_dump_json()))

@@ -69,7 +69,7 @@ class Step:
     def of(cls, config: Config, facts: SceneFacts) -> "Step":
         """As configured, on one device."""
         frustum = sampler_type(config.sampler).frustum_of(config.sampler)
-        place = Place(facts.normalisation.space, extended=frustum != "point", half_box=facts.half_box)
+        place = Place(facts.normalisation.space, extended=frustum != "point")
         return cls(
             config,
             facts,

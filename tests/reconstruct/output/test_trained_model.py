@@ -14,12 +14,13 @@ from koala3d.reconstruct.run import CHECKPOINTS, Run
 
 
 def test_a_run_opens_although_its_masks_are_not_read_again(make_run: Callable[..., Run]) -> None:
-    """The list of cells that can be occupied is as long as the masks left it; the state comes back bit for bit."""
+    """The list of cells that can be occupied is as the masks left it; the state comes back bit for bit."""
     run = make_run()
     trained = TrainedModel.open(run.path)
     occupancy = trained.model.sampler.grid
-    assert 0 < len(occupancy.visits) < run.config.sampler.grid**3
-    assert int(occupancy.occupied.sum()) == len(occupancy.visits)
+    possible = np.unique(occupancy.visits)
+    assert 0 < len(possible) < run.config.sampler.grid**3
+    assert int(occupancy.occupied.sum()) == len(possible)
     fresh = Model.create(jax.random.key(0), run.config, run.facts)
     pairs = zip(jax.tree.leaves(fresh.split()[0]), jax.tree.leaves(trained.model.split()[0]), strict=True)
     assert all(np.array_equal(a, b) for a, b in pairs)

@@ -23,11 +23,11 @@ def opaque(solid: np.ndarray) -> Occupancy:
     return jax.jit(Occupancy.with_occupied)(dense, cells)
 
 
-WEIGHTS = jax.jit(focus.weights, static_argnums=2)
+WEIGHTS = jax.jit(focus.weights)
 
 
 def weights(occupancy: Occupancy, rays: Rays) -> np.ndarray:
-    return np.asarray(WEIGHTS(occupancy, rays, HALF_BOX, drawn.uniform(len(rays.radii), seed=1)))
+    return np.asarray(WEIGHTS(occupancy, rays, np.float32(HALF_BOX), drawn.uniform(len(rays.radii), seed=1)))
 
 
 def test_rays_that_meet_the_object_weigh_more(some_rays) -> None:

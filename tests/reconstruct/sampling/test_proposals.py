@@ -6,15 +6,16 @@ import pytest
 from koala3d.reconstruct.config import EncodingConfig
 from koala3d.reconstruct.field.cloud import Cloud
 from koala3d.reconstruct.sampling.proposals import Proposal, Spacing, propose
-from koala3d.reconstruct.scene.rays import Normalisation, Rays
-from koala3d.reconstruct.scene.space import BOX
+from koala3d.reconstruct.scene.bounds import Bounds
+from koala3d.reconstruct.scene.rays import Rays
+from koala3d.reconstruct.scene.space import BALL, BOX
 from tests import drawn
 
 
 @pytest.mark.parametrize("bounded", [True, False])
 def test_spacing_runs_from_near_to_far(bounded: bool) -> None:
-    spacing = Spacing.of(Normalisation((0.0, 0.0, 0.0), 1.0, bounded, 0.2, 50.0))
-    t = np.asarray(jax.jit(spacing.t)(np.linspace(0, 1, 200, dtype=np.float32)), np.float64)
+    spacing = Spacing.of(Bounds(drawn.array(0.2), drawn.array(50.0), None), BOX if bounded else BALL)
+    t = np.asarray(jax.jit(lambda s: spacing.t(s))(np.linspace(0, 1, 200, dtype=np.float32)), np.float64)
     np.testing.assert_allclose(t[[0, -1]], [0.2, 50], rtol=1e-3)  # the ladder's end is flat: 1e-7 there is 1e-4 of t
     lengths = np.diff(t)
     assert (lengths > 0).all()
@@ -27,7 +28,7 @@ def test_spacing_runs_from_near_to_far(bounded: bool) -> None:
 def test_samples_gather_where_density_is() -> None:
     """A wall at t in [2, 2.1] that the levels find: the final samples sit there, and each level's weights add up to one."""
     rays = Rays(*map(drawn.array, (np.zeros((5, 3)), np.tile([0.0, 0.0, 1.0], (5, 1)), np.full(5, 1e-3))))
-    spacing = Spacing.of(Normalisation((0.0, 0.0, 0.0), 1.0, True, 0.5, 4.5))
+    spacing = Spacing.of(Bounds(drawn.array(0.5), drawn.array(4.5), None), BOX)
     small = drawn.filled(lambda: Proposal.create(jax.random.key(1), EncodingConfig(coarsest=8, log2_size=4), 16.0, 0.5))
 
     def wall(proposal: Proposal, rays: Rays, tdist: jax.Array) -> jax.Array:

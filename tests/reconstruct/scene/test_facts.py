@@ -62,8 +62,9 @@ def test_rays_that_meet_a_stated_box_are_preferred(
 ) -> None:
     """A box that is only guessed may hold anything, and without surroundings there is nothing to prefer it to."""
     facts = facts_of(replace(ball_scene[0], background=background, bounds_from=bounds_from))
-    focused = created(facts).sampler.focused
-    assert (focused is not None and focused.half_box == facts.half_box) == preferred
+    sampler = created(facts).sampler
+    assert sampler.prefers_object == preferred
+    assert (sampler.bounds.half_box is None) == (background == "white")
 
 
 def test_gains_begin_as_they_were_measured(ball_scene: tuple[Scene, Path]) -> None:
