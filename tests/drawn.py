@@ -8,6 +8,7 @@ import jax
 import numpy as np
 
 Tree = TypeVar("Tree")
+MEASURED = ("towards",)
 
 
 def array(values: Any, kind: type = np.float32) -> jax.Array:
@@ -32,11 +33,15 @@ def directions(count: int, seed: int = 0) -> jax.Array:
 
 
 def filled(make: Callable[[], Tree], seed: int = 0) -> Tree:
-    """What `make` returns, with its arrays drawn: matrices by He's rule, vectors small, single numbers zero."""
+    """What `make` returns, with its arrays drawn: matrices by He's rule, vectors small, single numbers zero.
+
+    What would be measured on a scene (`MEASURED`) is zero.
+    """
     rng = np.random.default_rng(seed)
 
-    def draw(like: jax.ShapeDtypeStruct) -> jax.Array:
+    def draw(path: tuple[Any, ...], like: jax.ShapeDtypeStruct) -> jax.Array:
         scale = (0.0, 0.1, (2 / like.shape[-1]) ** 0.5 if like.shape else 0)[min(len(like.shape), 2)]
-        return array(scale * rng.normal(size=like.shape), like.dtype)
+        values = scale * rng.normal(size=like.shape)
+        return array(0 * values if getattr(path[-1], "name", "") in MEASURED else values, like.dtype)
 
-    return jax.tree.map(draw, eqx.filter_eval_shape(make))
+    return jax.tree.map_with_path(draw, eqx.filter_eval_shape(make))

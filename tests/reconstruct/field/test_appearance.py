@@ -1,3 +1,4 @@
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,7 +22,9 @@ def small(kind: str, **changes: object) -> FieldConfig:
 
 
 def created(config: FieldConfig, start: Start | None = None):
-    return drawn.filled(lambda: create_appearance(jax.random.key(0), config, start))
+    made = drawn.filled(lambda: create_appearance(jax.random.key(0), config, start))
+    towards = start.towards if start else None
+    return made if towards is None else eqx.tree_at(lambda one: one.start.towards, made, drawn.array(towards))
 
 
 @jax.jit
@@ -71,7 +74,7 @@ def test_what_is_matte_looks_alike_from_all_sides() -> None:
     appearance = created(small("diffuse"))
     one, other = (seen(appearance, some_raw(appearance), POINTS, sign * VIEWDIRS)[1] for sign in (1, -1))
     np.testing.assert_array_equal(one.rgb, other.rgb)
-    assert not np.any(one.specular) and not jax.tree.leaves(appearance)
+    assert not np.any(one.specular) and not jax.tree.leaves(eqx.tree_at(lambda one: one.start, appearance, None))
 
 
 def test_which_parts_each_has() -> None:
