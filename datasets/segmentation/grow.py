@@ -3,12 +3,14 @@
 At first the object is expected in the middle of a ball. A cell stays expected while nearly all views that see it cut it to the
 object, so that what only one view takes for the object is soon expected nowhere. Strokes hold in their own view and, through
 the cells that they cross, in the others.
+
+If the box of the object is stated, the plane that it stands on says more than colours do: see `standing`.
 """
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 import cv2
 import numpy as np
@@ -20,6 +22,7 @@ from koala3d.datasets.imaging import images, reduced
 from koala3d.datasets.scene import Scene, View
 from koala3d.datasets.segmentation.cut import Drawn, cut
 from koala3d.datasets.segmentation.space import Ball, Space
+from koala3d.datasets.segmentation.standing import Standing
 from koala3d.datasets.segmentation.strokes import Stroke
 from koala3d.datasets.structure.masks.silhouette import Sight
 
@@ -68,11 +71,12 @@ class Grower:
             done()
 
     def grow(self, strokes: Sequence[Stroke] = (), *, done: Step = ignore) -> Grown:
-        """Cut all views until they agree; `done` is called after each of `ROUNDS` times the views."""
+        """Cut all views until they agree; `done` is called after each cut, at most `ROUNDS` times the views."""
         drawn = [self._drawn(view, strokes) for view in self.views]
-        expected = self._first()
-        masks: list[NDArray[np.bool_]] = []
-        for _ in range(ROUNDS):
+        standing = self._standing.masks(drawn, done=done) if self._standing else None
+        masks: list[NDArray[np.bool_]] = standing or []
+        expected = self._agreed(masks) if masks else self._first()
+        for _ in range(0 if masks else ROUNDS):
             asked, masks = self._with_strokes(expected, drawn), []
             with ThreadPoolExecutor(reduced.READERS) as pool:
                 for mask in pool.map(partial(self._cut, asked, drawn), range(len(self.views))):
@@ -83,6 +87,11 @@ class Grower:
         silhouettes = [self.space.drawn(i, sure) > 0 for i in range(len(masks))]
         agreement = [_overlap(mask, shape) for mask, shape in zip(masks, silhouettes, strict=True)]
         return Grown(tuple(masks), np.array(agreement))
+
+    @cached_property
+    def _standing(self) -> Standing | None:
+        """The object on its plane, if the scene states its box."""
+        return Standing(self.scene.box, self.pictures, self.space.sights) if self.scene.box_is_stated else None
 
     def _cut(self, expected: NDArray[np.float32], drawn: Sequence[Drawn], view: int) -> NDArray[np.bool_]:
         return cut(self.pictures[view], self.space.drawn(view, expected), drawn[view])

@@ -1,0 +1,147 @@
+"""Masks of an object that stands on a plane: what the views see past it is carved away, and what is left is cut out.
+
+The two help each other: where the object is, the plane cannot be seen, and where the plane is seen, the object is not.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import label
+
+from koala3d.datasets.core.progress import Step, ignore
+from koala3d.datasets.segmentation.backdrop import Backdrop, Flags, Picture, Plane, noise_of, tolerance_of
+from koala3d.datasets.segmentation.cut import Drawn, cut
+from koala3d.datasets.structure.bounds import grid
+from koala3d.datasets.structure.masks.silhouette import Sight, Silhouette
+from koala3d.datasets.structure.masks.votes import SHARE, carved
+
+CELLS = 112
+"""Cells along the longest side of the object's box."""
+ROUNDS = 3
+"""Times that the plane is looked at, each time past the object as it was found before."""
+SAME, OTHER = 2.5, 8.0
+"""In noises: difference up to which a pixel shows the plane, and from which on it certainly shows something else."""
+OPENING = 5
+"""Width of the pixels that show the plane, at least: a mirror shows its colours here and there [px]."""
+EMPTY_BY = 0.04
+"""Share of the views that must see the plane through a cell; at least two do."""
+BAND = 9
+"""Width of the border within which each view is cut anew [px]."""
+EXPECTED, POSSIBLE = 0.8, 0.45
+"""Expectation of pixels on the silhouette of what is left, and next to it; see `cut`."""
+LEAST_KNOWN = 0.2
+"""Share of the pixels that the plane must explain: else there is no such plane."""
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What each view shows of the plane."""
+
+    differences: list[Picture]
+    """(height, width) by how much each pixel differs from the plane behind it; infinite if that is not known."""
+    on: list[Flags]
+    """(height, width) pixels behind which the plane is, known or not."""
+    noise: float
+    """Median difference."""
+
+
+class Standing:
+    """The views of an object in a box, of which one face lies on the plane."""
+
+    def __init__(self, box: ArrayLike, pictures: Sequence[NDArray[np.uint8]], sights: Sequence[Sight]) -> None:
+        """Of small (height, width, 3) pictures."""
+        self.box, self.pictures, self.sights = np.asarray(box, np.float64), pictures, sights
+        sides = np.ptp(self.box, axis=0)
+        self.cells = np.maximum(np.ceil(sides / sides.max() * CELLS / 4).astype(int), 1) * 4
+        self.radius = float((sides / self.cells).max()) / 2
+        self.backdrop = Backdrop(Plane.behind(self.box, sights), pictures, sights)
+
+    @cached_property
+    def _plane(self) -> "Seen | None":
+        """What the views show of the plane; None if it explains too little of them."""
+        differences, on = self.backdrop.differences()
+        for _ in range(ROUNDS):
+            noise = noise_of(differences)
+            same = [_plane_in(one, noise) for one in differences]
+            if np.mean([one.mean() for one in same]) < LEAST_KNOWN:
+                return None
+            hidden = []
+            for outline, one in zip(self._outlines([~one for one in same], EMPTY_BY), differences, strict=True):
+                hidden.append(_inner(outline) | (outline & np.isfinite(one) & (one > OTHER * noise)))
+            differences, on = self.backdrop.differences(hidden, tolerance_of(noise))
+        return Seen(differences, on, noise_of(differences))
+
+    def masks(self, drawn: Sequence[Drawn], *, done: Step = ignore) -> list[Flags] | None:
+        """(height, width) pixels of the object in each view; None if there is no plane that the views agree on.
+
+        Args:
+            drawn: what strokes say of each view: it is kept, and what strokes of the background cross is not the object's.
+            done: called after each view of the two times that all are cut.
+        """
+        seen = self._plane
+        if seen is None:
+            return None
+        outlines = self._outlines([~_plane_in(one, seen.noise) for one in seen.differences], EMPTY_BY, drawn)
+        once = self._cut(outlines, seen, drawn, done)
+        return self._cut(self._outlines(once, SHARE, drawn), seen, drawn, done)
+
+    def _outlines(self, room: Sequence[Flags], share: float, drawn: Sequence[Drawn] = ()) -> list[Flags]:
+        """(height, width) silhouettes of the largest connected part of what views leave room for."""
+        shown = [Silhouette(sight.camera, sight.world_from_camera, one) for sight, one in zip(self.sights, room, strict=True)]
+        points = grid(self.box, self.cells)
+        left = np.zeros(len(points), bool)
+        left[carved(shown, self.box, self.cells, seen_by=max(len(shown) // 6, 1), share=share, centres=True)] = True
+        for sight, strokes in zip(self.sights, drawn, strict=False):
+            if strokes.background.any():
+                painted = Silhouette(sight.camera, sight.world_from_camera, ~strokes.background)
+                left &= ~painted.votes(points.T, 0.0)[1]
+        parts, count = label(left.reshape(self.cells))
+        if count > 1:
+            left = parts.ravel() == 1 + np.bincount(parts.ravel())[1:].argmax()
+        return [_inner(sight.covered(points[left], self.radius)[0], 3) for sight in self.sights]
+
+    def _cut(self, outlines: Sequence[Flags], seen: "Seen", drawn: Sequence[Drawn], done: Step) -> list[Flags]:
+        """Each view along its outline, by where the plane is seen, elsewhere by its colours."""
+        found = []
+        for view, (outline, strokes) in enumerate(zip(outlines, drawn, strict=True)):
+            difference, core, wide = (
+                seen.differences[view],
+                _inner(outline),
+                cv2.dilate(outline.astype(np.uint8), _disc(BAND)) > 0,
+            )
+            known, same = np.isfinite(difference), difference < SAME * seen.noise
+            other = known & ((wide & (difference > OTHER * seen.noise)) | (outline & ~same))
+            other |= core & seen.on[view] & ~known  # no view sees the plane there
+            clear = ~other & ~core & (same | _plane_in(difference, seen.noise))
+            certain = Drawn((other | strokes.object) & ~strokes.background, (clear & ~strokes.object) | strokes.background)
+            expected = np.select([outline, wide], [EXPECTED, POSSIBLE], 0.0).astype(np.float32)
+            found.append(_largest(cut(self.pictures[view], expected, certain)) | certain.object & strokes.object)
+            done()
+        return found
+
+
+def _plane_in(difference: Picture, noise: float) -> Flags:
+    """Pixels that show the plane and are joined with the picture's border by others that do."""
+    same = cv2.morphologyEx((difference < SAME * noise).astype(np.uint8), cv2.MORPH_OPEN, np.ones((OPENING, OPENING), np.uint8))
+    parts = cv2.connectedComponents(same)[1]
+    border = np.unique(np.concatenate([parts[0], parts[-1], parts[:, 0], parts[:, -1]]))
+    return np.isin(parts, border[border > 0])
+
+
+def _inner(outline: Flags, width: int = BAND) -> Flags:
+    """The outline less a border; the picture's own border is none."""
+    return np.asarray(cv2.erode(outline.astype(np.uint8), _disc(width), borderValue=1) > 0)
+
+
+def _disc(width: int) -> NDArray[np.uint8]:
+    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width)), np.uint8)
+
+
+def _largest(mask: Flags) -> Flags:
+    """The largest connected part."""
+    count, parts, figures, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
+    return mask if count < 2 else np.asarray(parts == 1 + figures[1:, cv2.CC_STAT_AREA].argmax())
