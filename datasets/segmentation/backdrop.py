@@ -28,7 +28,7 @@ NOISES = 3.0
 FEWEST, SHARES = 4, (0.25, 0.15)
 """Views that agree on a place, at least, and their share of those that may see it: at first, and once the object is known."""
 CANDIDATES = 24
-"""Views of which one has the colour that most agree on: of a place on which an eighth agrees, one in twenty-five is overlooked."""
+"""Views of which one has the colour that most agree on: where an eighth agrees, one place in twenty-five is overlooked."""
 PART = 4096
 """Places that are looked at together."""
 

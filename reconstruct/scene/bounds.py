@@ -18,7 +18,7 @@ class Bounds(eqx.Module):
     far: Float[Array, ""]
     """Furthest depth."""
     half_box: Float[Array, " 3"] | None
-    """Half the size of the object's box about the origin, which lies in the unit ball; None: there is nothing around the object."""
+    """Half the size of the object's box about the origin, in the unit ball; None: there is nothing around the object."""
 
     @classmethod
     def of(cls, facts: SceneFacts) -> "Bounds":

@@ -1,7 +1,9 @@
 """Samples along rays, as a compiled loop: march and draw, one ray after the other; see `reconstruct.sampling.plain.sample`.
 
 Arrays of a call: origins (n, 3), directions (n, 3), cuts (4, n), jitter (n,), offset (n,), grid, choices and numbers of `march`,
-and how many rays with samples and how many samples are enough (2,): rays that are not needed for them are not marched. Results: t (n, most), length (n, most), count (n,): samples of each ray, first in its row; the rest of it has t = 1 and no length.
+and how many rays with samples and how many samples are enough (2,): rays that are not needed for them are not marched.
+
+Results: t (n, most), length (n, most), count (n,): samples of each ray, first in its row; the rest of it has t = 1 and no length.
 """
 
 import numpy as np
