@@ -62,12 +62,17 @@ def session_of(scene: Scene, normalisation: Normalisation) -> tuple[tuple[float,
 
     The object's pose in the second session is known as well as the scene states, so all views of that session move together.
     """
-    stated, views = scene.provenance.get(TURNED), scene.split("train")
-    if stated is None or not {view.name for view in views} & set(stated["views"]):
+    spread = spread_of(scene, scene.split("train"), normalisation)
+    return None if spread is None or not spread.any() else tuple(tuple(row) for row in spread.reshape(-1, 36).tolist())
+
+
+def spread_of(scene: Scene, views: tuple[View, ...], normalisation: Normalisation) -> NDArray[np.float64] | None:
+    """`Session.spread` of some of a scene's views; None where no object was turned over."""
+    stated = scene.provenance.get(TURNED)
+    if stated is None:
         return None
     spread = _spread(np.stack([view.world_from_camera[:3, 3] for view in views]), stated, normalisation)
-    second = np.isin([view.name for view in views], stated["views"])
-    return tuple(tuple(row) for row in (second[:, None, None] * spread).reshape(len(views), 36).tolist())
+    return np.isin([view.name for view in views], stated["views"])[:, None, None] * spread
 
 
 def _spread(places: NDArray[np.float64], stated: Mapping[str, Any], normalisation: Normalisation) -> NDArray[np.float64]:
