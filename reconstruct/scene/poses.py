@@ -18,6 +18,7 @@ from koala3d.datasets import pose
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import DatasetError
 from koala3d.datasets.scene import TURNED, Scene, View
+from koala3d.datasets.structure.masks.silhouette import Slack
 from koala3d.reconstruct.config import PoseConfig
 from koala3d.reconstruct.scene.rays import Normalisation, Pixels, pixels_over_white
 from koala3d.reconstruct.scene.twists import Session, Twists, moved, together
@@ -200,20 +201,22 @@ def _of_each_view(content: dict[str, Any]) -> str:
     )
 
 
-def slack(config: PoseConfig, normalisation: Normalisation, turned: Scene | None = None) -> tuple[float, float]:
-    """How far cameras may be from where they were calibrated [scene unit], and turned [rad]; nothing where poses are as given.
+def slack(config: PoseConfig, normalisation: Normalisation, scene: Scene, *, free: bool = False) -> list[Slack]:
+    """How far each training view's camera may be from where it was calibrated [scene unit], and turned [rad].
 
     Args:
-        turned: a scene of an object that was turned over, if its motion is free: places of the object are as uncertain.
+        free: the motion of an object that was turned over is free: its places are as uncertain before cameras of that session.
     """
-    position = angle = 0.0
+    position = angle = more = 0.0
     if config.enabled is True:
         _, _, position, angle, _, _ = config.sigma(normalisation.scale)
-    if turned is not None:
-        covariance = np.asarray(turned.provenance[TURNED]["covariance"])
+    stated = scene.provenance[TURNED] if free else {"views": []}
+    if free:
+        covariance = np.asarray(stated["covariance"])
         shift, turn = (float(np.sqrt(np.linalg.eigvalsh(part)[-1])) for part in (covariance[:3, :3], covariance[3:, 3:]))
-        position += normalisation.scale * (shift + turn * float(np.linalg.norm(np.ptp(turned.box, axis=0))) / 2)
-    return FURTHEST * position, FURTHEST * angle
+        more = normalisation.scale * (shift + turn * float(np.linalg.norm(np.ptp(scene.box, axis=0))) / 2)
+    second = set(stated["views"])
+    return [(FURTHEST * (position + more * (view.name in second)), FURTHEST * angle) for view in scene.split("train")]
 
 
 def over_white(pixels: Pixels, twists: Twists | None) -> tuple[Any, ...]:

@@ -256,9 +256,12 @@ def test_masks_rule_out_less_where_cameras_may_have_moved(ball_scene: tuple[Scen
         pixels = Pixels.load(views, normalisation, 1.0, shown)
     true, cut, kept = (
         cells_in_masks(pixels, those, normalisation, 64, 1.0, slack=slack)
-        for those, slack in ((views, (0.0, 0.0)), (away, (0.0, 0.0)), (away, poses.slack(config.poses, normalisation)))
+        for those, slack in ((views, None), (away, None), (away, poses.slack(config.poses, normalisation, scene)))
     )
     lost, still_lost = (true & ~cut).sum(), (true & ~kept).sum()
     assert lost > 1000 and still_lost < lost / 10, "the hull ends at whole pixels: some cells at its very edge change sides"
     assert kept.sum() < 0.9 * kept.size, "it still rules out"
-    assert poses.slack(merged_config(config, {"poses": {"enabled": False}}).poses, normalisation) == (0, 0)
+    settled = merged_config(config, {"poses": {"enabled": False}}).poses
+    assert poses.slack(settled, normalisation, scene) == [(0, 0)] * 4
+    away, turned = np.array(poses.slack(settled, normalisation, of_two_sessions(scene), free=True)).T
+    assert not turned.any() and not away[:2].any() and (away[2:] > 5 * normalisation.scale * SHIFT_M).all()
