@@ -38,6 +38,7 @@ OF_SESSION = {
     "moved_mm": "how far the object's middle was moved from where the stated motion takes it [mm; 1/1000 world unit]",
     "turned_deg": "angle by which its turn was corrected [deg]",
     "in_deviations": "root mean square of the six numbers, in standard deviations of the motion as it was stated",
+    "a_from_b": "the motion as it was corrected: takes what the second session calls a place of the object to what the first does",
 }
 """What the entries of an object that was turned over mean."""
 GAUGE = "corrections together neither move, turn nor scale all cameras (least squares, in standard deviations)"
@@ -88,8 +89,7 @@ def _with_session(scene: Scene, normalisation: Normalisation, session: Session |
     if session is None:
         return scene
     stated = scene.provenance[TURNED]
-    by = _spread(np.zeros((1, 3)), stated, normalisation)[0] @ np.asarray(session.by, np.float64)
-    motion = corrected(np.eye(4), by, normalisation.scale)
+    motion = _motion(stated, normalisation, session)
     back, names = pose.inverse(motion), set(stated["views"])
 
     def of(view: View) -> View:
@@ -97,6 +97,12 @@ def _with_session(scene: Scene, normalisation: Normalisation, session: Session |
         return replace(view, world_from_camera=motion @ view.world_from_camera, base_from_world=placed)
 
     return scene.with_views(tuple(of(view) if view.name in names else view for view in scene.views))
+
+
+def _motion(stated: Mapping[str, Any], normalisation: Normalisation, session: Session) -> NDArray[np.float64]:
+    """(4, 4) by which the views of the second session are moved in the world."""
+    by = _spread(np.zeros((1, 3)), stated, normalisation)[0] @ np.asarray(session.by, np.float64)
+    return corrected(np.eye(4), by, normalisation.scale)
 
 
 def refined(scene: Scene, normalisation: Normalisation, twists: Twists | None, session: Session | None = None) -> Scene:
@@ -153,15 +159,17 @@ def write(run: Path, scene: Scene, normalisation: Normalisation, twists: Twists 
     files.write_json(run / POSES, content)
 
 
-def _moved_session(scene: Scene, normalisation: Normalisation, session: Session) -> dict[str, float]:
+def _moved_session(scene: Scene, normalisation: Normalisation, session: Session) -> dict[str, Any]:
     """By how much the stated motion of the object was corrected, as `OF_SESSION` has it."""
     by = np.asarray(session.by, np.float64)
-    whole = _spread(np.array([scene.provenance[TURNED]["middle"]]), scene.provenance[TURNED], normalisation)[0] @ by
+    stated = scene.provenance[TURNED]
+    whole = _spread(np.array([stated["middle"]]), stated, normalisation)[0] @ by
     shift, turn = np.linalg.norm(whole[:3]) / normalisation.scale, np.linalg.norm(whole[3:])
     return {
         "moved_mm": float(1e3 * shift),
         "turned_deg": float(np.rad2deg(turn)),
         "in_deviations": float(np.sqrt(np.mean(by**2))),
+        "a_from_b": (_motion(stated, normalisation, session) @ np.asarray(stated["a_from_b"])).tolist(),
     }
 
 

@@ -156,6 +156,7 @@ def test_a_second_session_moves_as_one(ball_scene: tuple[Scene, Path], tmp_path:
     poses.write(tmp_path, scene, normalisation, None, session)
     said = poses.read(tmp_path)
     assert said[TURNED]["in_deviations"] == pytest.approx(np.sqrt(28 / 6)) and said[TURNED].keys() == poses.OF_SESSION.keys()
+    np.testing.assert_allclose(said[TURNED]["a_from_b"], motions[0], atol=1e-12)
     assert said[TURNED]["moved_mm"] == pytest.approx(1e3 * SHIFT_M * np.sqrt(14)) and "gauge" not in said
     assert said[TURNED]["turned_deg"] == pytest.approx(np.rad2deg(TURN_RAD) * np.sqrt(14))
     assert "the object's motion between both sessions was corrected by 1.87 mm" in poses.summary(tmp_path)

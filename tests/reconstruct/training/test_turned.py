@@ -15,6 +15,7 @@ from koala3d.reconstruct.models import load_config
 from koala3d.reconstruct.output.mesh import extraction
 from koala3d.reconstruct.output.mesh.closing import is_closed
 from koala3d.reconstruct.output.trained_model import TrainedModel
+from koala3d.reconstruct.scene import poses
 from koala3d.reconstruct.training.loop import train
 from tests.reconstruct.glossy_ball import CAMERA, DISTANCE, RADIUS, SETTINGS, photographed
 
@@ -52,9 +53,11 @@ def test_both_sessions_make_one_closed_ball_of_the_true_volume(tmp_path: Path) -
     train(scene, tmp_path / "whole", config, tmp_path / "run")
     trained = TrainedModel.open(tmp_path / "run")
     assert trained.run.config.kinds == ("blank", "painted"), "paint is told within each session"
-    at = next(i for i, view in enumerate(scene.views) if view.name == scene.provenance["turned"]["views"][0])
-    found = trained.scene.views[at].world_from_camera @ pose.inverse(b.views[0].world_from_camera)
-    left = Registration(found, np.zeros(3), covariance, 0.5).error(pose.rigid(TURNED.T, np.zeros(3)))
+    found = poses.read(trained.run.path)
+    assert found is not None
+    left = Registration(np.array(found["turned"]["a_from_b"]), np.zeros(3), covariance, 0.5).error(
+        pose.rigid(TURNED.T, np.zeros(3))
+    )
     assert np.linalg.norm(left[:3]) < 0.3 * np.linalg.norm(off[:3]), left
     assert np.linalg.norm(left[3:]) < 0.3 * np.linalg.norm(off[3:]), left
     surface = extraction.extract(trained, resolution=64)
