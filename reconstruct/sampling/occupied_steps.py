@@ -91,7 +91,7 @@ class OccupiedSteps(Sampler):
 
     @classmethod
     def possible_cells(
-        cls, config: Config, pixels: Pixels, views: tuple[View, ...], normalisation: Normalisation, slack: Sequence[Slack]
+        cls, config: Config, pixels: Pixels, views: tuple[View, ...], normalisation: Normalisation, slack: Sequence[Slack] | None
     ) -> NDArray[np.bool_] | None:
         """Cells inside all masks where the object is all there is; elsewhere those that enough cameras see."""
         if not config.skip.empty_rays:

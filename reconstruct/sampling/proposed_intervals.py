@@ -58,7 +58,7 @@ class ProposedIntervals(Sampler):
 
     @classmethod
     def possible_cells(
-        cls, config: Config, pixels: Pixels, views: tuple[View, ...], normalisation: Normalisation, slack: Sequence[Slack]
+        cls, config: Config, pixels: Pixels, views: tuple[View, ...], normalisation: Normalisation, slack: Sequence[Slack] | None
     ) -> None:
         """None: there are no cells."""
         return None

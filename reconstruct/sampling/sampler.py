@@ -70,12 +70,13 @@ class Sampler(eqx.Module):
     @classmethod
     @abstractmethod
     def possible_cells(
-        cls, config: Config, pixels: Pixels, views: tuple[View, ...], normalisation: Normalisation, slack: Sequence[Slack]
+        cls, config: Config, pixels: Pixels, views: tuple[View, ...], normalisation: Normalisation, slack: Sequence[Slack] | None
     ) -> NDArray[Any] | None:
         """Cells that can hold anything; None where none is ruled out.
 
         Args:
-            slack: how far each view's camera may be from where the view has it [scene unit], and turned [rad].
+            slack: how far each view's camera may be from where the view has it [scene unit], and turned [rad]; None: not
+                at all.
         """
 
     @property

@@ -38,7 +38,7 @@ OF_SESSION = {
     "moved_mm": "how far the object's middle was moved from where the stated motion takes it [mm; 1/1000 world unit]",
     "turned_deg": "angle by which its turn was corrected [deg]",
     "in_deviations": "root mean square of the six numbers, in standard deviations of the motion as it was stated",
-    "a_from_b": "the motion as it was corrected: takes what the second session calls a place of the object to what the first does",
+    "a_from_b": "the corrected motion: takes what the second session calls a place of the object to what the first does",
 }
 """What the entries of an object that was turned over mean."""
 GAUGE = "corrections together neither move, turn nor scale all cameras (least squares, in standard deviations)"
