@@ -13,6 +13,8 @@ FINER = 4
 """Points per pixel and axis at which the mesh is drawn; a pixel is the object's where half of them are."""
 BITS = 4
 """Binary places of the coordinates at which OpenCV draws."""
+CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+"""A point and the four beside it."""
 BEYOND = 1.0
 """How far outside the picture triangles may reach, in widths of the picture. Lenses are known no further."""
 
@@ -46,5 +48,7 @@ def _silhouette(view: View, vertices: NDArray[np.float64], faces: NDArray[np.int
     picture = np.zeros((fine.height, fine.width), np.uint8)
     for triangle in fixed:
         cv2.fillConvexPoly(picture, triangle, 1, shift=BITS)
-    shares = picture.reshape(camera.height, FINER, camera.width, FINER).mean((1, 3))
+    # OpenCV also fills the points that an edge passes by, half of which are outside.
+    covered = (picture + cv2.erode(picture, CROSS)) / 2
+    shares = covered.reshape(camera.height, FINER, camera.width, FINER).mean((1, 3))
     return np.asarray(shares >= 0.5)

@@ -19,7 +19,7 @@ from koala3d.datasets.core.errors import KoalaError
 from koala3d.datasets.formats import find
 from koala3d.datasets.imaging import images
 from koala3d.datasets.imaging.copies import Copies
-from koala3d.datasets.scene import View
+from koala3d.datasets.scene import TURNED, View
 from koala3d.reconstruct.errors import ReconstructError
 from koala3d.reconstruct.output import metric_names, metrics
 from koala3d.reconstruct.output.align import Aligner
@@ -148,7 +148,9 @@ def compare_surface(trained: TrainedModel, truth: Path, stands_on: str | None = 
         surface = extraction.extract(trained, stands_on=stands_on)
     except ReconstructError:
         return None
-    return surface_distance.compare(surface, reading.read(truth, process=True), trained.scene.views, trained.scene.box)
+    scene, true = trained.scene, reading.read(truth, process=True)
+    floor = 0.0 if TURNED in scene.provenance else surface_distance.FLOOR
+    return surface_distance.compare(surface, true, scene.views, scene.box, floor=floor)
 
 
 def read_truth(view: View, camera: Camera, copies: Copies | None = None) -> dict[str, NDArray[np.float32]]:

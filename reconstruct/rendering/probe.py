@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -13,7 +14,9 @@ from koala3d.reconstruct.rendering.exposure import across_halves, left_half
 from koala3d.reconstruct.rendering.model import Model
 from koala3d.reconstruct.rendering.pictures import Renderer
 from koala3d.reconstruct.scene.light import STILL, LightFrame
-from koala3d.reconstruct.scene.rays import Normalisation, Pixels, pixel_counts, scaled_camera
+from koala3d.reconstruct.scene.poses import spread_of
+from koala3d.reconstruct.scene.rays import Normalisation, Pixels, Rays, pixel_counts, scaled_camera
+from koala3d.reconstruct.scene.twists import moved
 
 PIXELS, VIEWS = 4096, 4
 """Pixels of test views that each line of the log measures, not part of the training's time; views that they are from."""
@@ -32,6 +35,8 @@ class Probe(NamedTuple):
     view: Int[np.ndarray, " n"]
     left: Bool[np.ndarray, " n"]
     """Whether the pixel is in the left half of its picture."""
+    session: Float[np.ndarray, "views 6 6"] | None = None
+    """`Session.spread` of the test views, where the object was turned over."""
 
     @classmethod
     def of(
@@ -62,11 +67,15 @@ class Probe(NamedTuple):
         cameras = [scaled_camera(view, config.scale) for view in views]
         left = np.concatenate([left_half(camera.height, camera.width).ravel() for camera in cameras])
         origins, directions, radii, lamps, colour = pixels.under(light, views).over_white(as_drawn)
-        return cls(origins, directions, radii, lamps, colour, owner.astype(np.int32), left[index])
+        session = spread_of(scene, views, normalisation)
+        return cls(origins, directions, radii, lamps, colour, owner.astype(np.int32), left[index], session)
 
     def psnr(self, model: Model, renderer: Renderer) -> float:
-        """PSNR [dB]; where views have gains, each half of a picture with the exposure that fits the other."""
-        rendered = renderer.rays(model, self.origins, self.directions, self.radii, self.light)
+        """PSNR [dB]; where views have gains, each half of a picture with the exposure that fits the other.
+
+        Views of a second session are where the model has learned that it is.
+        """
+        rendered = renderer.rays(model, *self._seen_from(model), self.radii, self.light)
         rgb = rendered["rgb"]
         if model.per_image is not None:
             rgb, gains = rgb.copy(), model.per_image.shape[1]
@@ -75,6 +84,14 @@ class Probe(NamedTuple):
                 maps = {name: rendered[name][own] for name in ("rgb", "opacity")}
                 rgb[own], _ = across_halves(maps, self.colour[own], self.left[own], renderer.behind[0], gains)
         return _psnr(rgb, self.colour)
+
+    def _seen_from(self, model: Model) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+        """Origins and directions."""
+        if self.session is None or model.session is None:
+            return self.origins, self.directions
+        given = Rays(*map(jnp.asarray, (self.origins, self.directions, self.radii, self.view)))
+        rays = moved(given, jnp.asarray(self.session, jnp.float32) @ model.session.by)
+        return np.asarray(rays.origins), np.asarray(rays.directions)
 
 
 def _psnr(rendered: Float[np.ndarray, "n 3"], target: Float[np.ndarray, "n 3"]) -> float:

@@ -3,11 +3,13 @@
 What is ruled out here is never looked at again.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from koala3d.datasets.scene import View
-from koala3d.datasets.structure.masks.silhouette import Sight, Silhouette
+from koala3d.datasets.structure.masks.silhouette import EXACT, Sight, Silhouette, Slack
 from koala3d.datasets.structure.masks.votes import carved
 from koala3d.reconstruct.sampling.occupancy import cell_centres
 from koala3d.reconstruct.scene.rays import Normalisation, Pixels, scaled_camera
@@ -20,14 +22,14 @@ def cells_in_masks(
     grid: int,
     scale: float,
     *,
-    slack: tuple[float, float] = (0.0, 0.0),
+    slack: Sequence[Slack] | None = None,
 ) -> NDArray[np.bool_] | None:
     """(grid^3,) True for cells of the cube that the masks leave to the object; None where all pixels belong to it.
 
     Masks vote, see `votes`: a cell is left while any part of it is inside enough of the masks.
 
     Args:
-        slack: how far cameras may be from where the views have them [scene unit], and turned [rad].
+        slack: how far each view's camera may be from where the view has it [scene unit], and turned [rad]; None: not at all.
     """
     alpha = np.asarray(pixels.colour[:, 3])
     if (alpha > 0.99).all():
@@ -36,13 +38,13 @@ def cells_in_masks(
     ends = np.cumsum([camera.width * camera.height for camera in cameras])
     masks = np.split(alpha > 0.01, ends[:-1])
     silhouettes = [
-        Silhouette(camera, view.world_from_camera, mask.reshape(camera.height, camera.width))
-        for view, camera, mask in zip(views, cameras, masks, strict=True)
+        Silhouette(camera, view.world_from_camera, mask.reshape(camera.height, camera.width), (off / normalisation.scale, turned))
+        for view, camera, mask, (off, turned) in zip(views, cameras, masks, slack or [EXACT] * len(views), strict=True)
     ]
     order = np.random.default_rng(0).permutation(len(views))  # views far apart rule out most, soonest
     box = np.outer([-1, 1], np.ones(3)) / normalisation.scale + normalisation.centre
     possible = np.zeros(grid**3, bool)
-    possible[carved([silhouettes[i] for i in order], box, grid, slack=(slack[0] / normalisation.scale, slack[1]))] = True
+    possible[carved([silhouettes[i] for i in order], box, grid)] = True
     return possible
 
 

@@ -1,5 +1,6 @@
 """The sampler that goes by an occupancy grid: packed samples in occupied steps, and the grid's upkeep."""
 
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -10,6 +11,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from numpy.typing import NDArray
 
 from koala3d.datasets.scene import View
+from koala3d.datasets.structure.masks.silhouette import Slack
 from koala3d.reconstruct.config import Config
 from koala3d.reconstruct.field.cloud import Cloud
 from koala3d.reconstruct.field.field import Field
@@ -84,7 +86,7 @@ class OccupiedSteps(Sampler):
 
     @classmethod
     def possible_cells(
-        cls, config: Config, pixels: Pixels, views: tuple[View, ...], normalisation: Normalisation, slack: tuple[float, float]
+        cls, config: Config, pixels: Pixels, views: tuple[View, ...], normalisation: Normalisation, slack: Sequence[Slack] | None
     ) -> NDArray[np.bool_] | None:
         """Cells inside all masks where the object is all there is; elsewhere those that enough cameras see."""
         if not config.skip.empty_rays:

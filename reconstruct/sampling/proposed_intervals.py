@@ -1,5 +1,6 @@
 """The sampler that goes by proposal levels: small fields, learned with the model, that say where its samples go."""
 
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -8,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from koala3d.datasets.scene import View
+from koala3d.datasets.structure.masks.silhouette import Slack
 from koala3d.reconstruct.config import Config, SamplerConfig
 from koala3d.reconstruct.field.encodings.encoding import Encoding
 from koala3d.reconstruct.numerics.compiling import barrier
@@ -57,7 +59,7 @@ class ProposedIntervals(Sampler):
 
     @classmethod
     def possible_cells(
-        cls, config: Config, pixels: Pixels, views: tuple[View, ...], normalisation: Normalisation, slack: tuple[float, float]
+        cls, config: Config, pixels: Pixels, views: tuple[View, ...], normalisation: Normalisation, slack: Sequence[Slack] | None
     ) -> None:
         """None: there are no cells."""
         return None

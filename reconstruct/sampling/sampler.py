@@ -1,6 +1,7 @@
 """What every sampler does, so that nobody else needs to know which one a model has."""
 
 from abc import abstractmethod
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -8,6 +9,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from numpy.typing import NDArray
 
 from koala3d.datasets.scene import View
+from koala3d.datasets.structure.masks.silhouette import Slack
 from koala3d.reconstruct.config import Config, SamplerConfig
 from koala3d.reconstruct.field.encodings.encoding import Encoding
 from koala3d.reconstruct.field.field import Field
@@ -70,12 +72,13 @@ class Sampler(eqx.Module):
     @classmethod
     @abstractmethod
     def possible_cells(
-        cls, config: Config, pixels: Pixels, views: tuple[View, ...], normalisation: Normalisation, slack: tuple[float, float]
+        cls, config: Config, pixels: Pixels, views: tuple[View, ...], normalisation: Normalisation, slack: Sequence[Slack] | None
     ) -> NDArray[Any] | None:
         """Cells that can hold anything; None where none is ruled out.
 
         Args:
-            slack: how far cameras may be from where the views have them [scene unit], and turned [rad].
+            slack: how far each view's camera may be from where the view has it [scene unit], and turned [rad]; None: not
+                at all.
         """
 
     @property

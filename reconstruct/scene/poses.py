@@ -18,6 +18,7 @@ from koala3d.datasets import pose
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import DatasetError
 from koala3d.datasets.scene import TURNED, Scene, View
+from koala3d.datasets.structure.masks.silhouette import Slack
 from koala3d.reconstruct.config import PoseConfig
 from koala3d.reconstruct.scene.rays import Normalisation, Pixels, pixels_over_white
 from koala3d.reconstruct.scene.twists import Session, Twists, moved, together
@@ -37,6 +38,7 @@ OF_SESSION = {
     "moved_mm": "how far the object's middle was moved from where the stated motion takes it [mm; 1/1000 world unit]",
     "turned_deg": "angle by which its turn was corrected [deg]",
     "in_deviations": "root mean square of the six numbers, in standard deviations of the motion as it was stated",
+    "a_from_b": "the corrected motion: takes what the second session calls a place of the object to what the first does",
 }
 """What the entries of an object that was turned over mean."""
 GAUGE = "corrections together neither move, turn nor scale all cameras (least squares, in standard deviations)"
@@ -62,12 +64,17 @@ def session_of(scene: Scene, normalisation: Normalisation) -> tuple[tuple[float,
 
     The object's pose in the second session is known as well as the scene states, so all views of that session move together.
     """
-    stated, views = scene.provenance.get(TURNED), scene.split("train")
-    if stated is None or not {view.name for view in views} & set(stated["views"]):
+    spread = spread_of(scene, scene.split("train"), normalisation)
+    return None if spread is None or not spread.any() else tuple(tuple(row) for row in spread.reshape(-1, 36).tolist())
+
+
+def spread_of(scene: Scene, views: tuple[View, ...], normalisation: Normalisation) -> NDArray[np.float64] | None:
+    """`Session.spread` of some of a scene's views; None where no object was turned over."""
+    stated = scene.provenance.get(TURNED)
+    if stated is None:
         return None
     spread = _spread(np.stack([view.world_from_camera[:3, 3] for view in views]), stated, normalisation)
-    second = np.isin([view.name for view in views], stated["views"])
-    return tuple(tuple(row) for row in (second[:, None, None] * spread).reshape(len(views), 36).tolist())
+    return np.isin([view.name for view in views], stated["views"])[:, None, None] * spread
 
 
 def _spread(places: NDArray[np.float64], stated: Mapping[str, Any], normalisation: Normalisation) -> NDArray[np.float64]:
@@ -82,8 +89,7 @@ def _with_session(scene: Scene, normalisation: Normalisation, session: Session |
     if session is None:
         return scene
     stated = scene.provenance[TURNED]
-    by = _spread(np.zeros((1, 3)), stated, normalisation)[0] @ np.asarray(session.by, np.float64)
-    motion = corrected(np.eye(4), by, normalisation.scale)
+    motion = _motion(stated, normalisation, session)
     back, names = pose.inverse(motion), set(stated["views"])
 
     def of(view: View) -> View:
@@ -91,6 +97,12 @@ def _with_session(scene: Scene, normalisation: Normalisation, session: Session |
         return replace(view, world_from_camera=motion @ view.world_from_camera, base_from_world=placed)
 
     return scene.with_views(tuple(of(view) if view.name in names else view for view in scene.views))
+
+
+def _motion(stated: Mapping[str, Any], normalisation: Normalisation, session: Session) -> NDArray[np.float64]:
+    """(4, 4) by which the views of the second session are moved in the world."""
+    by = _spread(np.zeros((1, 3)), stated, normalisation)[0] @ np.asarray(session.by, np.float64)
+    return corrected(np.eye(4), by, normalisation.scale)
 
 
 def refined(scene: Scene, normalisation: Normalisation, twists: Twists | None, session: Session | None = None) -> Scene:
@@ -147,15 +159,17 @@ def write(run: Path, scene: Scene, normalisation: Normalisation, twists: Twists 
     files.write_json(run / POSES, content)
 
 
-def _moved_session(scene: Scene, normalisation: Normalisation, session: Session) -> dict[str, float]:
+def _moved_session(scene: Scene, normalisation: Normalisation, session: Session) -> dict[str, Any]:
     """By how much the stated motion of the object was corrected, as `OF_SESSION` has it."""
     by = np.asarray(session.by, np.float64)
-    whole = _spread(np.array([scene.provenance[TURNED]["middle"]]), scene.provenance[TURNED], normalisation)[0] @ by
+    stated = scene.provenance[TURNED]
+    whole = _spread(np.array([stated["middle"]]), stated, normalisation)[0] @ by
     shift, turn = np.linalg.norm(whole[:3]) / normalisation.scale, np.linalg.norm(whole[3:])
     return {
         "moved_mm": float(1e3 * shift),
         "turned_deg": float(np.rad2deg(turn)),
         "in_deviations": float(np.sqrt(np.mean(by**2))),
+        "a_from_b": (_motion(stated, normalisation, session) @ np.asarray(stated["a_from_b"])).tolist(),
     }
 
 
@@ -195,20 +209,22 @@ def _of_each_view(content: dict[str, Any]) -> str:
     )
 
 
-def slack(config: PoseConfig, normalisation: Normalisation, turned: Scene | None = None) -> tuple[float, float]:
-    """How far cameras may be from where they were calibrated [scene unit], and turned [rad]; nothing where poses are as given.
+def slack(config: PoseConfig, normalisation: Normalisation, scene: Scene, *, free: bool = False) -> list[Slack]:
+    """How far each training view's camera may be from where it was calibrated [scene unit], and turned [rad].
 
     Args:
-        turned: a scene of an object that was turned over, if its motion is free: places of the object are as uncertain.
+        free: the motion of an object that was turned over is free: its places are as uncertain before cameras of that session.
     """
-    position = angle = 0.0
+    position = angle = more = 0.0
     if config.enabled is True:
         _, _, position, angle, _, _ = config.sigma(normalisation.scale)
-    if turned is not None:
-        covariance = np.asarray(turned.provenance[TURNED]["covariance"])
+    stated = scene.provenance[TURNED] if free else {"views": []}
+    if free:
+        covariance = np.asarray(stated["covariance"])
         shift, turn = (float(np.sqrt(np.linalg.eigvalsh(part)[-1])) for part in (covariance[:3, :3], covariance[3:, 3:]))
-        position += normalisation.scale * (shift + turn * float(np.linalg.norm(np.ptp(turned.box, axis=0))) / 2)
-    return FURTHEST * position, FURTHEST * angle
+        more = normalisation.scale * (shift + turn * float(np.linalg.norm(np.ptp(scene.box, axis=0))) / 2)
+    second = set(stated["views"])
+    return [(FURTHEST * (position + more * (view.name in second)), FURTHEST * angle) for view in scene.split("train")]
 
 
 def over_white(pixels: Pixels, twists: Twists | None) -> tuple[Any, ...]:

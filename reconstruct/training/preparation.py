@@ -1,5 +1,6 @@
 """Everything that a training needs before its first step, apart from the run that it leaves."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from koala3d.datasets.core.console import progress
 from koala3d.datasets.imaging.copies import Copies
 from koala3d.datasets.scene import Scene, View
+from koala3d.datasets.structure.masks.silhouette import Slack
 from koala3d.reconstruct.config import Config
 from koala3d.reconstruct.rendering.probe import Probe
 from koala3d.reconstruct.sampling.create import sampler_type
@@ -68,7 +70,7 @@ def prepare(
         config, refined = pose_decision.decided(config, matches, scene, normalisation)
         skips.append(refined)
     free = session is not None or (known is not None and known.session is not None)
-    slack = poses.slack(config.poses, normalisation, scene if free else None)
+    slack = poses.slack(config.poses, normalisation, scene, free=free)
     possible = _possible_cells(config, pixels, pool, views, normalisation, slack)
     facts = known
     if facts is None:
@@ -95,7 +97,7 @@ def _possible_cells(
     pool: Pool | None,
     views: tuple[View, ...],
     normalisation: Normalisation,
-    slack: tuple[float, float],
+    slack: Sequence[Slack],
 ) -> NDArray[np.bool_] | None:
     """See `Sampler.possible_cells`; from small pictures where there are too many pixels to hold."""
     if pool is not None and normalisation.bounded:

@@ -27,8 +27,14 @@ def paint(normal: np.ndarray) -> np.ndarray:
     return 0.25 + 0.15 * np.sin(normal @ np.diag([9.0, 11.0, 13.0])) + 0.08 * np.cos(7 * normal[..., ::-1])
 
 
-def seen(camera: Camera, world_from_camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Linear colour and opacity of each pixel, and the normals: waves of paint, and a highlight of the sun."""
+def seen(
+    camera: Camera, world_from_camera: np.ndarray, world_from_ball: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Linear colour and opacity of each pixel, and the normals: waves of paint, and a highlight of the sun.
+
+    Args:
+        world_from_ball: (3, 3) how the ball was turned before the sun; None: not at all.
+    """
     directions = camera.directions(camera.pixel_centres()) @ world_from_camera[:3, :3].T
     directions = directions / np.linalg.norm(directions, axis=-1, keepdims=True)
     origin = world_from_camera[:3, 3]
@@ -37,7 +43,17 @@ def seen(camera: Camera, world_from_camera: np.ndarray) -> tuple[np.ndarray, np.
     normal = (origin + (-along - np.sqrt(np.maximum(inside, 0)))[..., None] * directions) / RADIUS
     reflected = directions - 2 * np.sum(directions * normal, -1, keepdims=True) * normal
     highlight = 0.8 * np.exp(20 * (reflected @ SUN - 1))[..., None]
-    return np.concatenate([paint(normal) + highlight, np.ones_like(highlight)], -1) * hit, normal * hit
+    painted = paint(normal if world_from_ball is None else normal @ world_from_ball)
+    return np.concatenate([painted + highlight, np.ones_like(highlight)], -1) * hit, normal * hit
+
+
+def photographed(path: Path, world_from_camera: np.ndarray, world_from_ball: np.ndarray | None = None) -> np.ndarray:
+    """Write what a camera sees, with its opacity; returns it (height, width, 4), linear. `world_from_ball`: see `seen`."""
+    fine, _ = seen(CAMERA.scaled(4 * CAMERA.width, 4 * CAMERA.height), world_from_camera, world_from_ball)
+    linear = fine.reshape(CAMERA.height, 4, CAMERA.width, 4, 4).mean((1, 3))
+    colour = images.srgb_from_linear(linear[..., :3] / np.maximum(linear[..., 3:], 1e-6))
+    images.write(path, np.concatenate([colour, linear[..., 3:]], -1))
+    return linear
 
 
 def save(root: Path) -> Path:
@@ -47,11 +63,8 @@ def save(root: Path) -> Path:
         up, around = 1 - 2 * (index + 0.5) / (TRAIN + TEST), index * np.pi * (3 - np.sqrt(5))
         flat = np.sqrt(1 - up * up)
         matrix = pose.look_at(DISTANCE * np.array([flat * np.cos(around), flat * np.sin(around), up]), np.zeros(3))
-        fine, _ = seen(CAMERA.scaled(4 * CAMERA.width, 4 * CAMERA.height), matrix)
-        linear = fine.reshape(CAMERA.height, 4, CAMERA.width, 4, 4).mean((1, 3))
-        colour = images.srgb_from_linear(linear[..., :3] / np.maximum(linear[..., 3:], 1e-6))
         path = root / "source" / f"{index:03d}.png"
-        images.write(path, np.concatenate([colour, linear[..., 3:]], -1))
+        linear = photographed(path, matrix)
         truth, split = {}, "test" if index % 7 == 3 else "train"
         if split == "test":
             for name, values in {"normals": seen(CAMERA, matrix)[1], "alpha": linear[..., 3:]}.items():

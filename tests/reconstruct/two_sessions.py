@@ -14,5 +14,6 @@ def of_two_sessions(scene: Scene) -> Scene:
     """The scene, whose later training views and last test view are those of the second session."""
     names = [view.name for view in (*scene.split("train")[2:], scene.split("test")[-1])]
     covariance = np.diag([SHIFT_M**2] * 3 + [TURN_RAD**2] * 3)
-    stated = {"views": names, "middle": scene.box.mean(0).tolist(), "covariance": covariance.tolist()}
+    middle, still = scene.box.mean(0).tolist(), np.eye(4).tolist()
+    stated = {"views": names, "a_from_b": still, "middle": middle, "covariance": covariance.tolist()}
     return replace(scene, provenance={**scene.provenance, TURNED: stated})

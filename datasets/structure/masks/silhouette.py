@@ -69,6 +69,7 @@ class Silhouette(Sight):
 
     inside: NDArray[np.bool_]
     """(height, width) pixels of the object."""
+    slack: Slack = EXACT
 
     @cached_property
     def distance(self) -> NDArray[np.float32]:
@@ -76,7 +77,7 @@ class Silhouette(Sight):
         return distance_to(self.inside)
 
     def votes(
-        self, points: NDArray[np.float64], radius: float, slack: Slack = EXACT, *, wholly: bool = False
+        self, points: NDArray[np.float64], radius: float, *, wholly: bool = False
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """(n,) flags of balls about (3, n) points: which the picture shows, and of which the mask leaves no part to the object.
 
@@ -87,7 +88,7 @@ class Silhouette(Sight):
         index, (x, y, depth), (column, row) = self.projected(points, radius)
         widening = 1 + (np.square(x / depth) + np.square(y / depth))  # of angles and lengths towards a picture's edge
         across = focal * np.sqrt(widening) / (depth - radius)
-        margin = slack[0] * across + slack[1] * focal * widening if any(slack) else np.zeros(1)
+        margin = self.slack[0] * across + self.slack[1] * focal * widening if any(self.slack) else np.zeros(1)
         reach = radius * across + margin
         border = reach if wholly else margin
         inside = (

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from koala3d.datasets.structure.bounds import grid
-from koala3d.datasets.structure.masks.silhouette import EXACT, Silhouette, Slack
+from koala3d.datasets.structure.masks.silhouette import Silhouette
 
 FEWEST, SHARE = 2, 0.1
 """Fewest views that rule a place out, and the least share of the views that see it; both are needed. A share of 0.1 restores
@@ -36,7 +36,6 @@ def carved(
     *,
     seen_by: int = 0,
     share: float = SHARE,
-    slack: Slack = EXACT,
     centres: bool = False,
 ) -> NDArray[np.intp]:
     """The visual hull in a box: indices in `bounds.grid(box, cells)` of the cells that masks leave to the object.
@@ -52,9 +51,9 @@ def carved(
     left = np.arange(counts.prod())
     if not (counts % BLOCK).any():  # most of the space is ruled out in blocks
         hopeful = np.zeros(counts // BLOCK, bool)
-        hopeful.flat[_counted(silhouettes, grid(box, counts // BLOCK), BLOCK * half, slack, share, wholly=True).which] = True
+        hopeful.flat[_counted(silhouettes, grid(box, counts // BLOCK), BLOCK * half, share, wholly=True).which] = True
         left = np.flatnonzero(hopeful.repeat(BLOCK, 0).repeat(BLOCK, 1).repeat(BLOCK, 2))
-    found = _counted(silhouettes, grid(box, counts)[left], 0.0 if centres else half, slack, share)
+    found = _counted(silhouettes, grid(box, counts)[left], 0.0 if centres else half, share)
     return left[found.which[(found.against < needed(found.seen, share)) & (found.seen >= seen_by)]]
 
 
@@ -79,7 +78,6 @@ def _counted(
     silhouettes: Sequence[Silhouette],
     points: NDArray[np.float64],
     radius: float,
-    slack: Slack,
     share: float,
     *,
     wholly: bool = False,
@@ -94,7 +92,7 @@ def _counted(
 
             def judged(part: _Balls, group: Sequence[Silhouette] = silhouettes[start : start + GROUP]) -> _Balls:
                 for silhouette in group:
-                    shown, empty = silhouette.votes(part.centres, radius, slack, wholly=wholly)
+                    shown, empty = silhouette.votes(part.centres, radius, wholly=wholly)
                     part = part._replace(seen=part.seen + shown, against=part.against + empty)
                 return part.among(part.against < enough)
 

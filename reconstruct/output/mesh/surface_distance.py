@@ -15,7 +15,8 @@ from koala3d.reconstruct.output.mesh.nearest import POINTS, Nearest
 if TYPE_CHECKING:
     import trimesh
 
-FLOOR = 0.02  # share of the box's height, at its floor, that is not compared
+FLOOR = 0.02
+"""Share of the box's height, at its floor, that is not compared: there is the table."""
 HIDDEN_PX = 4.0
 """A point is visible if it is less than this many pixel widths behind the nearest point at its pixel and the eight around."""
 PICTURE_PX = 160  # longer side of the depth maps that determine visibility
@@ -38,13 +39,21 @@ class Surface:
     counts: NDArray[np.bool_]  # (n,) True inside the box, above its floor, and visible to a camera
 
     @classmethod
-    def of(cls, mesh: "trimesh.Trimesh", views: tuple[View, ...], box: NDArray[np.float64], *, count: int = POINTS) -> "Surface":
+    def of(
+        cls,
+        mesh: "trimesh.Trimesh",
+        views: tuple[View, ...],
+        box: NDArray[np.float64],
+        *,
+        floor: float = FLOOR,
+        count: int = POINTS,
+    ) -> "Surface":
         """Points on `mesh`; those inside `box`, above its floor and visible in one of the `views` are compared."""
         from trimesh.sample import sample_surface
 
         points = np.asarray(sample_surface(mesh, count, seed=0)[0])
         low, high = box
-        counts = ((points >= low) & (points <= high)).all(-1) & (points[:, 2] > low[2] + FLOOR * (high[2] - low[2]))
+        counts = ((points >= low) & (points <= high)).all(-1) & (points[:, 2] >= low[2] + floor * (high[2] - low[2]))
         counts &= visible(points, views)
         return cls(mesh, points, counts)
 
@@ -54,10 +63,20 @@ class Surface:
 
 
 def compare(
-    mesh: "trimesh.Trimesh", truth: "trimesh.Trimesh", views: tuple[View, ...], box: NDArray[np.float64], *, count: int = POINTS
+    mesh: "trimesh.Trimesh",
+    truth: "trimesh.Trimesh",
+    views: tuple[View, ...],
+    box: NDArray[np.float64],
+    *,
+    floor: float = FLOOR,
+    count: int = POINTS,
 ) -> dict[str, float] | None:
-    """Metrics of `DEFINITIONS` of a mesh [m]; None if no part of it or of the truth can be compared."""
-    found, true = (Surface.of(surface, views, box, count=count) for surface in (mesh, truth))
+    """Metrics of `DEFINITIONS` of a mesh [m]; None if no part of it or of the truth can be compared.
+
+    Args:
+        floor: see `FLOOR`; 0 where no table is in the box.
+    """
+    found, true = (Surface.of(surface, views, box, floor=floor, count=count) for surface in (mesh, truth))
     if not (found.counts.any() and true.counts.any()):
         return None
     accuracy, completeness = true.distance(found.points[found.counts]), found.distance(true.points[true.counts])

@@ -23,6 +23,7 @@ from koala3d.reconstruct.training.decisions import (
     regularisers,
     surroundings,
 )
+from koala3d.reconstruct.training.decisions.evidence.agreement import sessions
 from koala3d.reconstruct.training.decisions.evidence.gains import gains_between
 from koala3d.reconstruct.training.decisions.evidence.matches import SIDE
 from koala3d.reconstruct.training.decisions.evidence.matte import matte_share
@@ -67,8 +68,9 @@ def decided(
     matte = matte_share(matches, scene.box, SIDE) if matches is not None and telling else None
     gains = None if matches is None else gains_between(matches)
     named, shiny = regularisers.decided(normalisation, scene, config), reflection.decided(matte, config)
-    still = normalisation.bounded and not light.moves and not shiny.skipped
-    dark = dark_start.decided(pixels, possible if still else None, config)
+    session = sessions(light.of_views(views)) if light.kind == "room" else None
+    tells = normalisation.bounded and (not light.moves or session is not None) and not shiny.skipped
+    dark = dark_start.decided(pixels, possible if tells else None, config, session)
     kinds: list[Kind] = ["blank" if normalisation.bounded else "surroundings"]
     kinds += [kind for kind, skip in (("unnamed", named), ("matte", shiny), ("painted", dark)) if skip.skipped]
     config, gain = exposure.decided(gains, of_kinds(config, kinds))

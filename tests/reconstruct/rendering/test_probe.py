@@ -11,7 +11,10 @@ from koala3d.datasets.scene import Scene
 from koala3d.reconstruct.models import load_config
 from koala3d.reconstruct.output.trained_model import TrainedModel
 from koala3d.reconstruct.rendering.probe import PIXELS, Probe
+from koala3d.reconstruct.scene.facts import SceneFacts
+from koala3d.reconstruct.scene.poses import refined, session_of
 from koala3d.reconstruct.scene.rays import Normalisation, Pixels
+from tests.reconstruct.two_sessions import of_two_sessions
 
 
 class Silent:
@@ -50,6 +53,20 @@ def test_the_probe_fits_the_exposure_only_where_views_have_gains(ball: TrainedMo
     learned = replace(ball.model, per_image=jnp.zeros((4, 1)))
     assert bright.psnr(ball.model, ball.renderer) < before - 3
     assert bright.psnr(learned, ball.renderer) == pytest.approx(before, abs=1.0)  # the rim's error has another exposure too
+
+
+def test_the_probe_moves_with_an_object_that_was_turned_over(ball: TrainedModel, probe: Probe) -> None:
+    """As `TrainedModel` moves the scene's views: the motion that was learned brings back what the poses are off."""
+    scene, normalisation = of_two_sessions(ball.scene), ball.run.normalisation
+    session = SceneFacts(normalisation, session=session_of(scene, normalisation)).free_session
+    assert session is not None
+    back = replace(session, by=jnp.array([-8.0, 8, 8, 8, -8, 8]))
+    found = Probe.of(refined(scene, normalisation, None, back), ball.run.config, normalisation)
+    assert found is not None and np.abs(found.origins - probe.origins).max() > 1e-3
+    learned = replace(ball.model, session=replace(session, by=-back.by))
+    expected, off = (one.psnr(ball.model, ball.renderer) for one in (probe, found))
+    assert off < expected - 0.3
+    assert found.psnr(learned, ball.renderer) == pytest.approx(expected, abs=0.1 * (expected - off))
 
 
 def test_without_test_views_there_is_no_probe(ball: TrainedModel) -> None:

@@ -156,6 +156,7 @@ def test_a_second_session_moves_as_one(ball_scene: tuple[Scene, Path], tmp_path:
     poses.write(tmp_path, scene, normalisation, None, session)
     said = poses.read(tmp_path)
     assert said[TURNED]["in_deviations"] == pytest.approx(np.sqrt(28 / 6)) and said[TURNED].keys() == poses.OF_SESSION.keys()
+    np.testing.assert_allclose(said[TURNED]["a_from_b"], motions[0], atol=1e-12)
     assert said[TURNED]["moved_mm"] == pytest.approx(1e3 * SHIFT_M * np.sqrt(14)) and "gauge" not in said
     assert said[TURNED]["turned_deg"] == pytest.approx(np.rad2deg(TURN_RAD) * np.sqrt(14))
     assert "the object's motion between both sessions was corrected by 1.87 mm" in poses.summary(tmp_path)
@@ -256,9 +257,12 @@ def test_masks_rule_out_less_where_cameras_may_have_moved(ball_scene: tuple[Scen
         pixels = Pixels.load(views, normalisation, 1.0, shown)
     true, cut, kept = (
         cells_in_masks(pixels, those, normalisation, 64, 1.0, slack=slack)
-        for those, slack in ((views, (0.0, 0.0)), (away, (0.0, 0.0)), (away, poses.slack(config.poses, normalisation)))
+        for those, slack in ((views, None), (away, None), (away, poses.slack(config.poses, normalisation, scene)))
     )
     lost, still_lost = (true & ~cut).sum(), (true & ~kept).sum()
     assert lost > 1000 and still_lost < lost / 10, "the hull ends at whole pixels: some cells at its very edge change sides"
     assert kept.sum() < 0.9 * kept.size, "it still rules out"
-    assert poses.slack(merged_config(config, {"poses": {"enabled": False}}).poses, normalisation) == (0, 0)
+    settled = merged_config(config, {"poses": {"enabled": False}}).poses
+    assert poses.slack(settled, normalisation, scene) == [(0, 0)] * 4
+    away, turned = np.array(poses.slack(settled, normalisation, of_two_sessions(scene), free=True)).T
+    assert not turned.any() and not away[:2].any() and (away[2:] > 5 * normalisation.scale * SHIFT_M).all()

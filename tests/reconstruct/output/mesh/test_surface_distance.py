@@ -53,8 +53,10 @@ def test_surface_that_no_camera_sees_is_not_compared() -> None:
 def test_the_floor_and_what_is_outside_the_box_do_not_count() -> None:
     floor = trimesh.creation.box((0.6, 0.6, 0.004))
     floor.apply_translation([0, 0, -0.2])
-    found = surface_distance.compare(trimesh.util.concatenate([ball(), floor]), ball(), around(), BOX, count=40_000)
+    both = trimesh.util.concatenate([ball(), floor])
+    found = surface_distance.compare(both, ball(), around(), BOX, count=40_000)
     assert found["accuracy_mm"] < 0.02
+    assert surface_distance.compare(both, ball(), around(), BOX, floor=0, count=40_000)["accuracy_mm"] > 1, "no table is there"
 
 
 def test_nothing_to_compare_is_none() -> None:

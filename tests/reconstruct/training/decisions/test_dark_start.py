@@ -4,6 +4,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from koala3d.datasets.scene import Scene
 from koala3d.reconstruct.models import load_config
@@ -11,7 +12,7 @@ from koala3d.reconstruct.sampling.hull import cells_in_masks
 from koala3d.reconstruct.scene.rays import Normalisation, Pixels
 from koala3d.reconstruct.scene.reading import training_pixels
 from koala3d.reconstruct.training.decisions import dark_start
-from koala3d.reconstruct.training.decisions.evidence.agreement import agreement
+from koala3d.reconstruct.training.decisions.evidence.agreement import FEWEST_VIEWS, agreement, sessions
 from tests.small import Trainable
 
 CELLS = 64
@@ -44,6 +45,28 @@ def test_views_agree_on_paint_and_not_on_what_a_mirror_shows(painted: tuple[Pixe
     assert found is not None and 0.3 < found < 0.5  # 0.21 and 0.60 of linear light; some places show one of them alone
     even = agreement(of_colour(pixels, np.full(pixels.total, 0.5)), cells)
     np.testing.assert_allclose(even, 1.0, atol=0.01)  # `DARK` in 0.2
+
+
+def test_an_object_that_was_turned_over_is_compared_within_each_session(painted: tuple[Pixels, np.ndarray]) -> None:
+    """What a lamp brightens in one session it leaves dark in the other."""
+    pixels, cells = painted
+    count = len(np.unique(np.asarray(pixels.view)))
+    assert count >= 2 * FEWEST_VIEWS
+    second = np.arange(count) % 2 > 0
+    session = sessions(np.where(second[:, None, None], np.diag([1.0, -1, -1]), np.eye(3)))
+    assert session is not None and len(np.unique(session)) == 2 and (session[second] == session[1]).all()
+    brighter = of_colour(pixels, np.where(second[np.asarray(pixels.view)], 0.8, 0.5))
+    mixed, apart = agreement(brighter, cells), agreement(brighter, cells, session)
+    assert mixed is not None and mixed < 0.6
+    assert apart is not None and apart > 0.98
+
+
+def test_few_views_of_a_session_are_left_out_and_views_that_all_differ_tell_nothing() -> None:
+    turns = np.repeat(np.stack([np.eye(3), np.diag([1.0, -1, -1])]), [2 * FEWEST_VIEWS, FEWEST_VIEWS - 1], 0)
+    session = sessions(turns)
+    assert session is not None and (session[-FEWEST_VIEWS + 1 :] == -1).all() and (session[: 2 * FEWEST_VIEWS] >= 0).all()
+    assert sessions(Rotation.random(12, rng=0).as_matrix()) is None
+    assert sessions(None) is None
 
 
 def test_too_few_pixels_tell_nothing(painted: tuple[Pixels, np.ndarray]) -> None:

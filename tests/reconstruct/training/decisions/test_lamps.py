@@ -69,7 +69,7 @@ def ball_under(kind: str, folder: Path) -> Scene:
 def decided(scene: Scene, config: Config):
     views, normalisation = scene.split("train"), Normalisation.of(scene)
     pixels = Pixels.load(views, normalisation, 1.0, Quiet())
-    possible = sampler_type(config.sampler).possible_cells(config, pixels, views, normalisation, (0.0, 0.0))
+    possible = sampler_type(config.sampler).possible_cells(config, pixels, views, normalisation, None)
     return decided_light(views, pixels, normalisation, possible, config, stated(scene))
 
 
