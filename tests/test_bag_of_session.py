@@ -86,7 +86,7 @@ def test_a_bag_of_a_session_gives_its_calibration_and_the_latency(session: Path,
     wanted = calibrate_handeye(observed)
     found = calibrate_handeye(observe_recording(recording_of(tmp_path / "bag"), observed.board))
     late = found.residuals
-    assert late.views_used == wanted.residuals.views_used == VIEWS
+    assert late.views_used == wanted.residuals.views_used >= VIEWS - 2  # views whose corners stand out are left out
     assert bags.apart(found, wanted) < 0.1
     assert late.latency_pictures >= 10 and late.latency_std_s < 0.001
     assert late.latency_s == pytest.approx(LATE_S, abs=min(0.002, 4 * late.latency_std_s))
