@@ -75,6 +75,8 @@ class Grower:
         drawn = [self._drawn(view, strokes) for view in self.views]
         standing = self._standing.masks(drawn, done=done) if self._standing else None
         masks: list[NDArray[np.bool_]] = standing or []
+        if self._standing and not masks:
+            drawn = self._standing.hints(drawn)
         expected = self._agreed(masks) if masks else self._first()
         for _ in range(0 if masks else ROUNDS):
             asked, masks = self._with_strokes(expected, drawn), []

@@ -33,8 +33,13 @@ BAND = 9
 """Width of the border within which each view is cut anew [px]."""
 EXPECTED, POSSIBLE = 0.8, 0.45
 """Expectation of pixels on the silhouette of what is left, and next to it; see `cut`."""
-LEAST_KNOWN = 0.2
-"""Share of the pixels that the plane must explain: else there is no such plane."""
+LARGE = 0.03
+"""Share of a picture from which on pixels that show the plane need not be joined with its border."""
+LEAST_SEEN, MOST_NOISE = 0.2, 0.025
+"""Share of the pixels that must show the plane, and median difference above which views agree on it by chance (sRGB)."""
+EXPLAINED, CUT_OFF = 0.5, 0.1
+"""Share of what is around the object that must show the plane, and share of the pictures' borders that the object may cover: else
+there is no such plane, or too few views see it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,12 +67,12 @@ class Standing:
 
     @cached_property
     def _plane(self) -> "Seen | None":
-        """What the views show of the plane; None if it explains too little of them."""
+        """What the views show of the plane; None if they agree on none."""
         differences, on = self.backdrop.differences()
         for _ in range(ROUNDS):
             noise = noise_of(differences)
             same = [_plane_in(one, noise) for one in differences]
-            if np.mean([one.mean() for one in same]) < LEAST_KNOWN:
+            if noise > MOST_NOISE or np.mean([one.mean() for one in same]) < LEAST_SEEN:
                 return None
             hidden = []
             for outline, one in zip(self._outlines([~one for one in same], EMPTY_BY), differences, strict=True):
@@ -76,7 +81,7 @@ class Standing:
         return Seen(differences, on, noise_of(differences))
 
     def masks(self, drawn: Sequence[Drawn], *, done: Step = ignore) -> list[Flags] | None:
-        """(height, width) pixels of the object in each view; None if there is no plane that the views agree on.
+        """(height, width) pixels of the object in each view; None if the plane explains too little.
 
         Args:
             drawn: what strokes say of each view: it is kept, and what strokes of the background cross is not the object's.
@@ -87,7 +92,24 @@ class Standing:
             return None
         outlines = self._outlines([~_plane_in(one, seen.noise) for one in seen.differences], EMPTY_BY, drawn)
         once = self._cut(outlines, seen, drawn, done)
-        return self._cut(self._outlines(once, SHARE, drawn), seen, drawn, done)
+        found = self._cut(self._outlines(once, SHARE, drawn), seen, drawn, done)
+        around = sum((~mask).sum() for mask in found)
+        explained = sum((~mask & (one < SAME * seen.noise)).sum() for mask, one in zip(found, seen.differences, strict=True))
+        cut_off = np.mean([np.concatenate([one[0], one[-1], one[:, 0], one[:, -1]]).mean() for one in found])
+        return found if explained > EXPLAINED * around and cut_off < CUT_OFF else None
+
+    def hints(self, drawn: Sequence[Drawn]) -> list[Drawn]:
+        """What strokes say, and what certainly shows the plane or something in front of it: for a cut by colours."""
+        seen = self._plane
+        if seen is None:
+            return list(drawn)
+        planes, found = [_plane_in(one, seen.noise) for one in seen.differences], []
+        for outline, difference, plane, strokes in zip(
+            self._outlines([~one for one in planes], EMPTY_BY), seen.differences, planes, drawn, strict=True
+        ):
+            other = outline & np.isfinite(difference) & (difference > OTHER * seen.noise)
+            found.append(Drawn((other & ~strokes.background) | strokes.object, (plane & ~strokes.object) | strokes.background))
+        return found
 
     def _outlines(self, room: Sequence[Flags], share: float, drawn: Sequence[Drawn] = ()) -> list[Flags]:
         """(height, width) silhouettes of the largest connected part of what views leave room for."""
@@ -116,7 +138,7 @@ class Standing:
             known, same = np.isfinite(difference), difference < SAME * seen.noise
             other = known & ((wide & (difference > OTHER * seen.noise)) | (outline & ~same))
             other |= core & seen.on[view] & ~known  # no view sees the plane there
-            clear = ~other & ~core & (same | _plane_in(difference, seen.noise))
+            clear = ~other & (_plane_in(difference, seen.noise) | (same & ~core))
             certain = Drawn((other | strokes.object) & ~strokes.background, (clear & ~strokes.object) | strokes.background)
             expected = np.select([outline, wide], [EXPECTED, POSSIBLE], 0.0).astype(np.float32)
             found.append(_largest(cut(self.pictures[view], expected, certain)) | certain.object & strokes.object)
@@ -125,11 +147,12 @@ class Standing:
 
 
 def _plane_in(difference: Picture, noise: float) -> Flags:
-    """Pixels that show the plane and are joined with the picture's border by others that do."""
+    """Pixels that show the plane and are joined with the picture's border by others that do, or with many."""
     same = cv2.morphologyEx((difference < SAME * noise).astype(np.uint8), cv2.MORPH_OPEN, np.ones((OPENING, OPENING), np.uint8))
-    parts = cv2.connectedComponents(same)[1]
-    border = np.unique(np.concatenate([parts[0], parts[-1], parts[:, 0], parts[:, -1]]))
-    return np.isin(parts, border[border > 0])
+    _, parts, figures, _ = cv2.connectedComponentsWithStats(same)
+    counts = figures[:, cv2.CC_STAT_AREA] > LARGE * same.size
+    counts[np.concatenate([parts[0], parts[-1], parts[:, 0], parts[:, -1]])] = True
+    return np.asarray(counts[parts] & (parts > 0))
 
 
 def _inner(outline: Flags, width: int = BAND) -> Flags:
