@@ -97,17 +97,14 @@ class Backdrop:
         self.colours = np.stack(colours)
         self.shown = [plane.seen_by(sight) for sight in sights]
 
-    def differences(
-        self, hidden: Sequence[Flags] | None = None, tolerance: float = FIRST_TOLERANCE
-    ) -> tuple[list[Picture], list[Flags]]:
-        """For each view, by how much each pixel differs from the plane behind it; infinite where that is not known.
+    def differences(self, hidden: Sequence[Flags] | None = None, tolerance: float = FIRST_TOLERANCE) -> list[Picture]:
+        """(height, width) of each view: by how much its pixels differ from the plane behind them (mean of the channels, sRGB).
+
+        Infinite where that is not known.
 
         Args:
             hidden: (height, width) pixels of each view that certainly show the object; None: not known yet.
             tolerance: of colours that agree.
-
-        Returns:
-            Differences (mean of the channels, sRGB), and which pixels show a place of the plane, known or not.
         """
         free = np.stack(self.inside)
         if hidden is not None:
@@ -119,7 +116,7 @@ class Backdrop:
             place = index[..., ::-1]  # OpenCV has the column first
             difference = np.abs(picture - _at(colour, place)).mean(-1)
             found.append(np.where(on & (_at(known, place) > 0.99), difference, np.inf).astype(np.float32))
-        return found, [on for _, on in self.shown]
+        return found
 
 
 def noise_of(differences: Sequence[Picture]) -> float:

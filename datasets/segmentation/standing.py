@@ -48,10 +48,13 @@ class Seen:
 
     differences: list[Picture]
     """(height, width) by how much each pixel differs from the plane behind it; infinite if that is not known."""
-    on: list[Flags]
-    """(height, width) pixels behind which the plane is, known or not."""
     noise: float
     """Median difference."""
+
+    @cached_property
+    def plane(self) -> list[Flags]:
+        """(height, width) pixels that show it, see `_plane_in`."""
+        return [_plane_in(one, self.noise) for one in self.differences]
 
 
 class Standing:
@@ -68,7 +71,7 @@ class Standing:
     @cached_property
     def _plane(self) -> "Seen | None":
         """What the views show of the plane; None if they agree on none."""
-        differences, on = self.backdrop.differences()
+        differences = self.backdrop.differences()
         for _ in range(ROUNDS):
             noise = noise_of(differences)
             same = [_plane_in(one, noise) for one in differences]
@@ -77,8 +80,8 @@ class Standing:
             hidden = []
             for outline, one in zip(self._outlines([~one for one in same], EMPTY_BY), differences, strict=True):
                 hidden.append(_inner(outline) | (outline & np.isfinite(one) & (one > OTHER * noise)))
-            differences, on = self.backdrop.differences(hidden, tolerance_of(noise))
-        return Seen(differences, on, noise_of(differences))
+            differences = self.backdrop.differences(hidden, tolerance_of(noise))
+        return Seen(differences, noise_of(differences))
 
     def masks(self, drawn: Sequence[Drawn], *, done: Step = ignore) -> list[Flags] | None:
         """(height, width) pixels of the object in each view; None if the plane explains too little.
@@ -90,7 +93,7 @@ class Standing:
         seen = self._plane
         if seen is None:
             return None
-        outlines = self._outlines([~_plane_in(one, seen.noise) for one in seen.differences], EMPTY_BY, drawn)
+        outlines = self._outlines([~one for one in seen.plane], EMPTY_BY, drawn)
         once = self._cut(outlines, seen, drawn, done)
         found = self._cut(self._outlines(once, SHARE, drawn), seen, drawn, done)
         around = sum((~mask).sum() for mask in found)
@@ -103,9 +106,9 @@ class Standing:
         seen = self._plane
         if seen is None:
             return list(drawn)
-        planes, found = [_plane_in(one, seen.noise) for one in seen.differences], []
+        found = []
         for outline, difference, plane, strokes in zip(
-            self._outlines([~one for one in planes], EMPTY_BY), seen.differences, planes, drawn, strict=True
+            self._outlines([~one for one in seen.plane], EMPTY_BY), seen.differences, seen.plane, drawn, strict=True
         ):
             other = outline & np.isfinite(difference) & (difference > OTHER * seen.noise)
             found.append(Drawn((other & ~strokes.background) | strokes.object, (plane & ~strokes.object) | strokes.background))
@@ -137,8 +140,8 @@ class Standing:
             )
             known, same = np.isfinite(difference), difference < SAME * seen.noise
             other = known & ((wide & (difference > OTHER * seen.noise)) | (outline & ~same))
-            other |= core & seen.on[view] & ~known  # no view sees the plane there
-            clear = ~other & (_plane_in(difference, seen.noise) | (same & ~core))
+            other |= core & self.backdrop.shown[view][1] & ~known  # no view sees the plane there
+            clear = ~other & (seen.plane[view] | (same & ~core))
             certain = Drawn((other | strokes.object) & ~strokes.background, (clear & ~strokes.object) | strokes.background)
             expected = np.select([outline, wide], [EXPECTED, POSSIBLE], 0.0).astype(np.float32)
             found.append(_largest(cut(self.pictures[view], expected, certain)) | certain.object & strokes.object)
