@@ -12,6 +12,7 @@ app = console.make_app("capture", "Move a robot and a camera along a trajectory,
 def list_command(as_json: console.Json = False) -> None:
     """List the installed trajectories, calibration targets, rigs and arms, and the scenes of the simulation."""
     from koala3d import configs
+    from koala3d.capture.sim.laboratory.pieces import PIECES
     from koala3d.capture.sim.laboratory.scenes import SCENES
 
     found = {kind: configs.shipped(kind) for kind in ("trajectories", "boards", "rigs", "arms")} | {"scenes": SCENES}
@@ -20,6 +21,7 @@ def list_command(as_json: console.Json = False) -> None:
     for kind, entries in found.items():
         lines += [f"{kind}:", *(f"  {name:{width}}  {description}" for name, description in entries.items())]
     folder = str(Path(configs.__file__).parent)
+    lines.append(f"an object behind whose name is {' or '.join(f'-{piece}' for piece in PIECES)} is not as drawn")
     console.report({**found, "folder": folder}, as_json=as_json, text="\n".join([*lines, f"files: {folder}"]))
 
 

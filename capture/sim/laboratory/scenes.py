@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from koala3d.capture.drivers.errors import SimulationError
 from koala3d.capture.sim.laboratory import objects, textures
 from koala3d.capture.sim.laboratory.materials import Glass, Material, Matt, Metal
+from koala3d.capture.sim.laboratory.pieces import PIECES
 from koala3d.datasets.core.errors import UsageError, nearest
 from koala3d.datasets.recording import UPRIGHT
 
@@ -62,10 +63,15 @@ class Stage:
         return meshes[0] if len(meshes) == 1 else objects.joined(meshes)
 
 
+OBJECTS = tuple(name for name in SCENES if name != "board" and name not in CARDS)
+VARIANTS = tuple(f"{name}-{piece}" for name in OBJECTS for piece in PIECES)
+
+
 def check_name(name: str) -> str:
     """Return the name of a scene; raise UsageError with the nearest one if there is no such scene."""
-    if name not in SCENES:
-        raise UsageError(f"unknown scene '{name}'", remedy=nearest(name, SCENES))
+    known = (*SCENES, *VARIANTS)
+    if name not in known:
+        raise UsageError(f"unknown scene '{name}'", remedy=nearest(name, known))
     return name
 
 
@@ -73,7 +79,7 @@ def stage(name: str, *, centre: ArrayLike, size: ArrayLike, seed: int, pose: str
     """The stage of a scene. The object stands in the middle of the bottom of the object volume, or lies as in another pose.
 
     Args:
-        name: a scene other than "board".
+        name: a scene other than "board"; behind a dash, one of `PIECES`, as in "gold_head-dented".
         centre: (3,) centre of the object volume in the frame of the table [m].
         size: (3,) its edges [m].
         seed: of the textures.
@@ -81,11 +87,15 @@ def stage(name: str, *, centre: ArrayLike, size: ArrayLike, seed: int, pose: str
     """
     rng = np.random.default_rng([seed, 11])
     centre, size = np.asarray(centre, np.float64), np.asarray(size, np.float64)
-    parts = _parts(name, np.random.default_rng([seed, 12]))
-    _place([mesh for _, mesh, _, _ in parts], centre, size)
+    drawn, _, piece = name.partition("-")
+    parts = _parts(drawn, np.random.default_rng([seed, 12]))
+    meshes = [mesh for _, mesh, _, _ in parts]
+    _place(meshes, centre, size)
+    if piece:
+        meshes = PIECES[piece](meshes)
     if pose != UPRIGHT:
-        turned_over([mesh for _, mesh, _, _ in parts], centre, np.random.default_rng([seed, 13, *pose.encode()]))
-    things = [Item(part, mesh, material, smooth=smooth) for part, mesh, material, smooth in parts]
+        turned_over(meshes, centre, np.random.default_rng([seed, 13, *pose.encode()]))
+    things = [Item(part, mesh, made, smooth=smooth) for (part, _, made, smooth), mesh in zip(parts, meshes, strict=True)]
     return Stage(name, (*things, _table(centre, rng), *_props(centre, size, rng)), textures.room(rng), len(things))
 
 
@@ -103,10 +113,9 @@ def _parts(name: str, rng: np.random.Generator) -> list[objects.Part]:
         return objects.lidar_guts(rng)
     if name == "crystal_capture":
         return objects.crystal_capture(rng)
-    known = ", ".join(other for other in SCENES if other != "board" and other not in CARDS)
     if name == "mug":
         return objects.mug()
-    raise SimulationError(f"scene '{name}' has no object", remedy=f"for an object trajectory use one of {known}")
+    raise SimulationError(f"scene '{name}' has no object", remedy=f"for an object trajectory use one of {', '.join(OBJECTS)}")
 
 
 def _place(meshes: list[trimesh.Trimesh], centre: NDArray[np.float64], size: NDArray[np.float64]) -> None:

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
+import trimesh
 
-from koala3d.capture.sim.laboratory import textures
+from koala3d.capture.sim.laboratory import pieces, textures
 from koala3d.capture.sim.laboratory.materials import Glass, Matt, Metal
 from koala3d.capture.sim.laboratory.scenes import SCENES, check_name, stage
 from koala3d.datasets import pose
@@ -96,3 +97,31 @@ def test_noise_covers_its_range_without_jumps():
     noise = textures.noise(100, 120, 6, np.random.default_rng(3))
     assert noise.shape == (100, 120) and noise.min() >= 0 and noise.max() <= 1 and np.ptp(noise) > 0.6
     assert np.abs(np.diff(noise, axis=0)).max() < 0.2
+
+
+@pytest.mark.parametrize("name", ["gold_head", "lidar_guts", "crystal_capture"])
+def test_a_dent_is_a_millimetre_deep_and_nothing_else_differs(name):
+    drawn, dented = (stage(piece, centre=CENTRE, size=SIZE, seed=2) for piece in (name, f"{name}-dented"))
+    moved = {}
+    for before, item in zip(drawn.items[: drawn.parts], dented.items, strict=False):
+        vertices = item.mesh.vertices
+        away = np.minimum(before.mesh.kdtree.query(vertices)[0], trimesh.proximity.closest_point(before.mesh, vertices)[1])
+        moved[item.name] = away
+        assert item.mesh.is_watertight == before.mesh.is_watertight, item.name
+        far = np.linalg.norm(vertices - vertices[np.argmax(away)], axis=1) > 2.2 * pieces.RADIUS
+        assert away[far].max(initial=0) < 1e-9 or away.max() < 1e-9
+    deepest = max(away.max() for away in moved.values())
+    assert 0.95 * pieces.DEPTH < deepest < 1.05 * pieces.DEPTH
+    assert dented.mesh().extents == pytest.approx(drawn.mesh().extents, abs=1e-9)
+
+
+def test_an_enlarged_piece_stands_where_the_other_does():
+    drawn, enlarged = (stage(piece, centre=CENTRE, size=SIZE, seed=2).mesh() for piece in ("mug", "mug-enlarged"))
+    assert enlarged.extents == pytest.approx(1.003 * drawn.extents)
+    assert enlarged.bounds[0, 2] == pytest.approx(0, abs=1e-9)
+
+
+def test_only_objects_have_pieces_that_are_not_as_drawn():
+    assert check_name("mug-dented") == "mug-dented"
+    with pytest.raises(UsageError, match="unknown scene 'board-dented'"):
+        check_name("board-dented")
