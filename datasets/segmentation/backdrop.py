@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import KDTree
 
 from koala3d.datasets.splits import evenly
 from koala3d.datasets.structure.masks.silhouette import Sight
@@ -20,7 +21,7 @@ SIDE = 256
 REACH = 2.2
 """Half the plane's side in the longer side of the object's box on it: far enough to be seen past the object."""
 BLUR = 0.8
-"""Of pictures, against their noise [px]."""
+"""Of pictures, and of their differences, against noise [px]."""
 FIRST_TOLERANCE, LEAST_TOLERANCE = 0.03, 0.012
 """Difference of colours that agree, in each channel; before the noise is known, and at least. sRGB, 0 to 1."""
 NOISES = 3.0
@@ -31,6 +32,10 @@ CANDIDATES = 24
 """Views of which one has the colour that most agree on: where an eighth agrees, one place in twenty-five is overlooked."""
 PART = 4096
 """Places that are looked at together."""
+LIKE, LEAST_OTHERS = 0.05, 500
+"""Distance of hues that are alike, and known places around the object that those below it are compared with, at least."""
+NOTHING = np.float32(-100)
+"""The colour of a place in a view that does not see it: near to none that is seen, and finite."""
 
 Picture = NDArray[np.float32]
 Flags = NDArray[np.bool_]
@@ -46,6 +51,8 @@ class Plane:
     """(2, 3) unit vectors along its sides."""
     half: float
     """Half its side [world unit]."""
+    foot: NDArray[np.float64]
+    """(2,) half sides of the box on it [world unit]."""
 
     @classmethod
     def behind(cls, box: ArrayLike, sights: Sequence[Sight]) -> "Plane":
@@ -55,7 +62,8 @@ class Plane:
         axis = int(np.argmax(np.abs(forward)))
         centre, others = corners.mean(0), [other for other in range(3) if other != axis]
         centre[axis] = corners[int(forward[axis] > 0), axis]
-        return cls(centre, np.eye(3)[others], REACH * float(np.ptp(corners, axis=0)[others].max()))
+        sides = np.ptp(corners, axis=0)[others]
+        return cls(centre, np.eye(3)[others], REACH * float(sides.max()), sides / 2)
 
     @property
     def places(self) -> NDArray[np.float64]:
@@ -63,6 +71,11 @@ class Plane:
         along = ((np.arange(SIDE) + 0.5) / SIDE * 2 - 1) * self.half
         first, second = np.meshgrid(along, along, indexing="ij")
         return self.centre + np.stack([first, second], -1).reshape(-1, 2) @ self.across
+
+    @property
+    def under(self) -> Flags:
+        """(SIDE * SIDE,) which places are below the box."""
+        return np.asarray((np.abs((self.places - self.centre) @ self.across.T) <= self.foot).all(1))
 
     def seen_by(self, sight: Sight) -> tuple[Picture, Flags]:
         """(height, width, 2) places of the plane that a view's pixels show, as indices, and which pixels show any."""
@@ -84,7 +97,7 @@ class Backdrop:
 
     def __init__(self, plane: Plane, pictures: Sequence[NDArray[np.uint8]], sights: Sequence[Sight]) -> None:
         """Look at each of its places in each of the (height, width, 3) `pictures`."""
-        self.pictures = [cv2.GaussianBlur(np.float32(picture) / 255, (0, 0), BLUR) for picture in pictures]
+        self.pictures = [_blurred(np.float32(picture) / 255) for picture in pictures]
         self.pixels, self.inside, colours = [], [], []
         for picture, sight in zip(self.pictures, sights, strict=True):
             local = (plane.places - sight.world_from_camera[:3, 3]) @ sight.world_from_camera[:3, :3]
@@ -94,7 +107,7 @@ class Backdrop:
             self.pixels.append(np.where(inside[:, None], pixels, 0).astype(int))
             self.inside.append(inside)
             colours.append(_at(picture, (pixels - 0.5).astype(np.float32).reshape(SIDE, SIDE, 2)).reshape(-1, 3))
-        self.colours = np.stack(colours)
+        self.colours, self.under = np.stack(colours), plane.under
         self.shown = [plane.seen_by(sight) for sight in sights]
 
     def differences(self, hidden: Sequence[Flags] | None = None, tolerance: float = FIRST_TOLERANCE) -> list[Picture]:
@@ -110,12 +123,14 @@ class Backdrop:
         if hidden is not None:
             free &= ~np.stack([one[tuple(at.T[::-1])] for one, at in zip(hidden, self.pixels, strict=True)])
         colour, known = _agreed(self.colours, free, tolerance, SHARES[hidden is not None])
+        known = _like_others(colour, known, self.under)
         colour, known = colour.reshape(SIDE, SIDE, 3), known.reshape(SIDE, SIDE).astype(np.float32)
         found = []
         for picture, (index, on) in zip(self.pictures, self.shown, strict=True):
             place = index[..., ::-1]  # OpenCV has the column first
-            difference = np.abs(picture - _at(colour, place)).mean(-1)
-            found.append(np.where(on & (_at(known, place) > 0.99), difference, np.inf).astype(np.float32))
+            seen = (on & (_at(known, place) > 0.99)).astype(np.float32)
+            away = _blurred((picture - _at(colour, place)) * seen[..., None]) / np.maximum(_blurred(seen), 1e-6)[..., None]
+            found.append(np.where(seen > 0, np.abs(away).mean(-1), np.inf).astype(np.float32))
         return found
 
 
@@ -130,25 +145,53 @@ def tolerance_of(noise: float) -> float:
     return max(LEAST_TOLERANCE, NOISES * noise)
 
 
+def _blurred(values: Picture) -> Picture:
+    return np.asarray(cv2.GaussianBlur(values, (0, 0), BLUR), np.float32)
+
+
 def _at(values: Picture, index: Picture) -> Picture:
     """Values of a picture at fractional (column, row) indices."""
     return np.asarray(cv2.remap(values, index[..., 0], index[..., 1], cv2.INTER_LINEAR), np.float32)
 
 
-def _agreed(colours: NDArray[np.float32], free: Flags, tolerance: float, share: float) -> tuple[Picture, Flags]:
+def _agreed(colours: Picture, free: Flags, tolerance: float, share: float) -> tuple[Picture, Flags]:
     """(n, 3) colours on which most of (views, n, 3) views agree, and whether enough of those do that are `free`, (views, n)."""
     colour, known = np.zeros(colours.shape[1:], np.float32), np.zeros(colours.shape[1], bool)
     for start in range(0, len(known), PART):
         part = slice(start, start + PART)
-        looks, may = np.where(free[:, part, None], colours[:, part], np.inf), free[:, part]
+        may = free[:, part]
+        looks = np.where(may, np.moveaxis(colours[:, part], -1, 0), NOTHING)
         most, first = np.zeros(may.shape[1], int), np.zeros(may.shape[1], int)
         for view in evenly(range(len(free)), CANDIDATES):
-            with np.errstate(invalid="ignore"):
-                count = np.where(may[view], (np.abs(looks - looks[view]).max(-1) < tolerance).sum(0), 0)
+            count = np.where(may[view], _near(looks, looks[:, view], tolerance).sum(0), 0)
             first = np.where(count > most, view, first)
             most = np.maximum(most, count)
-        with np.errstate(invalid="ignore"):
-            near = np.abs(looks - looks[first, np.arange(len(most))]).max(-1) < tolerance
-        colour[part] = np.where(near[..., None], looks, 0).sum(0) / np.maximum(near.sum(0), 1)[:, None]
+        near = _near(looks, looks[:, first, np.arange(len(most))], tolerance)
+        colour[part] = (np.where(near, looks, 0).sum(1) / np.maximum(near.sum(0), 1)).T
         known[part] = most >= np.maximum(FEWEST, share * may.sum(0))
     return colour, known
+
+
+def _like_others(colour: Picture, known: Flags, under: Flags) -> Flags:
+    """(n,) which (n, 3) colours are known, less those under the box that have no place's hue around it.
+
+    On those the views agree, but they are of a flat part of the object, next to the plane."""
+    around = known & ~under
+    if around.sum() < LEAST_OTHERS:
+        return known
+    below = np.flatnonzero(known & under)
+    away, _ = KDTree(_hue(colour[around])).query(_hue(colour[below]), distance_upper_bound=LIKE)
+    found = known.copy()
+    found[below[~np.isfinite(away)]] = False
+    return found
+
+
+def _hue(colour: Picture) -> Picture:
+    """(n, 3) colours of sum one: those of a surface in light and in shade are the same."""
+    return np.asarray(colour / np.maximum(colour.sum(-1, keepdims=True), 1e-3))
+
+
+def _near(looks: Picture, look: Picture, tolerance: float) -> Flags:
+    """(views, n) which of (3, views, n) colours differ from (3, n) by less than a tolerance, in all channels."""
+    red, green, blue = (np.abs(channel - one) < tolerance for channel, one in zip(looks, look, strict=True))
+    return np.asarray(red & green & blue)

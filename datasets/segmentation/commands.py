@@ -63,7 +63,7 @@ def mask(
     from koala3d.datasets.core.errors import UsageError
     from koala3d.datasets.formats import find, load_scene
     from koala3d.datasets.segmentation import strokes as corrections
-    from koala3d.datasets.segmentation.grow import ROUNDS, Grower
+    from koala3d.datasets.segmentation.grow import Grower
     from koala3d.datasets.segmentation.write import write
 
     files.refuse_existing(out)
@@ -76,8 +76,8 @@ def mask(
     drawn = corrections.read(strokes, (view.name for view in loaded.views)) if strokes is not None else []
     with console.progress("reading", len(loaded.views), "views") as shown:
         grower = Grower(loaded, _ball(ball), done=shown.advance)
-    with console.progress("cutting", ROUNDS * len(loaded.views), "cuts") as shown:
-        found = grower.grow(drawn, done=shown.advance)
+    with console.progress("cutting", len(loaded.views), "cuts") as shown:
+        found = grower.grow(drawn, done=shown.show)
     if not page:
         _refuse_nothing(found, scene)
     else:

@@ -10,19 +10,20 @@ If the box of the object is stated, the plane that it stands on says more than c
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
+from itertools import count
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from koala3d.datasets.core.errors import DatasetError
-from koala3d.datasets.core.progress import Step, ignore
+from koala3d.datasets.core.progress import Count, Step, ignore
 from koala3d.datasets.imaging import images, reduced
 from koala3d.datasets.scene import Scene, View
 from koala3d.datasets.segmentation.cut import Drawn, cut
 from koala3d.datasets.segmentation.space import Ball, Space
-from koala3d.datasets.segmentation.standing import Standing
+from koala3d.datasets.segmentation.standing import TIMES, Standing
 from koala3d.datasets.segmentation.strokes import Stroke
 from koala3d.datasets.structure.masks.silhouette import Sight
 
@@ -69,31 +70,35 @@ class Grower:
         for view in self.views:
             self.pictures.append(_picture(view))
             done()
+        self._standing = Standing(scene.box, self.pictures, self.space.sights) if scene.box_is_stated else None
 
-    def grow(self, strokes: Sequence[Stroke] = (), *, done: Step = ignore) -> Grown:
-        """Cut all views until they agree; `done` is called after each cut, at most `ROUNDS` times the views."""
-        drawn = [self._drawn(view, strokes) for view in self.views]
-        standing = self._standing.masks(drawn, done=done) if self._standing else None
-        masks: list[NDArray[np.bool_]] = standing or []
-        if self._standing and not masks:
-            drawn = self._standing.hints(drawn)
-        expected = self._agreed(masks) if masks else self._first()
-        for _ in range(0 if masks else ROUNDS):
+    def grow(self, strokes: Sequence[Stroke] = (), *, done: Count = ignore) -> Grown:
+        """Cut all views until they agree; `done` is called after each cut, with the number of cuts and that of all."""
+        drawn, views = [self._drawn(view, strokes) for view in self.views], len(self.views)
+        masks, finished = None, 0
+        if self._standing is not None and (seen := self._standing.seen) is not None:
+            step = _counted(done, 0, finished := TIMES * views)
+            masks = self._standing.masks(seen, drawn, done=step)
+            if masks is None:
+                drawn = self._standing.hints(seen, drawn)
+        if masks is None:
+            masks = self._by_colours(drawn, _counted(done, finished, finished + ROUNDS * views))
+        sure = self._with_strokes(self._agreed(masks), drawn) >= EXPECTED
+        silhouettes = [self.space.drawn(i, sure) > 0 for i in range(views)]
+        agreement = [_overlap(mask, shape) for mask, shape in zip(masks, silhouettes, strict=True)]
+        return Grown(tuple(masks), np.array(agreement))
+
+    def _by_colours(self, drawn: Sequence[Drawn], done: Step) -> list[NDArray[np.bool_]]:
+        """Masks of all views, cut `ROUNDS` times."""
+        expected, masks = self._first(), []
+        for _ in range(ROUNDS):
             asked, masks = self._with_strokes(expected, drawn), []
             with ThreadPoolExecutor(reduced.READERS) as pool:
                 for mask in pool.map(partial(self._cut, asked, drawn), range(len(self.views))):
                     masks.append(mask)
                     done()
             expected = self._agreed(masks)
-        sure = self._with_strokes(expected, drawn) >= EXPECTED
-        silhouettes = [self.space.drawn(i, sure) > 0 for i in range(len(masks))]
-        agreement = [_overlap(mask, shape) for mask, shape in zip(masks, silhouettes, strict=True)]
-        return Grown(tuple(masks), np.array(agreement))
-
-    @cached_property
-    def _standing(self) -> Standing | None:
-        """The object on its plane, if the scene states its box."""
-        return Standing(self.scene.box, self.pictures, self.space.sights) if self.scene.box_is_stated else None
+        return masks
 
     def _cut(self, expected: NDArray[np.float32], drawn: Sequence[Drawn], view: int) -> NDArray[np.bool_]:
         return cut(self.pictures[view], self.space.drawn(view, expected), drawn[view])
@@ -128,6 +133,12 @@ class Grower:
             if stroke.view == view.name:
                 painted[stroke.of] |= stroke.painted(view.camera, shape)
         return Drawn(painted["object"] & ~painted["background"], painted["background"])
+
+
+def _counted(done: Count, finished: int, total: int) -> Step:
+    """A callback that counts up from `finished`."""
+    numbers = count(finished + 1)
+    return lambda: done(next(numbers), total)
 
 
 def enlarged(mask: NDArray[np.bool_], width: int, height: int) -> NDArray[np.uint8]:

@@ -21,9 +21,11 @@ from koala3d.datasets.structure.masks.votes import SHARE, carved
 
 CELLS = 112
 """Cells along the longest side of the object's box."""
+TIMES = 2
+"""Times that all views are cut."""
 ROUNDS = 3
 """Times that the plane is looked at, each time past the object as it was found before."""
-SAME, OTHER = 2.5, 8.0
+SAME, OTHER = 3.0, 8.0
 """In noises: difference up to which a pixel shows the plane, and from which on it certainly shows something else."""
 OPENING = 5
 """Width of the pixels that show the plane, at least: a mirror shows its colours here and there [px]."""
@@ -37,7 +39,7 @@ LARGE = 0.03
 """Share of a picture from which on pixels that show the plane need not be joined with its border."""
 LEAST_SEEN, MOST_NOISE = 0.2, 0.025
 """Share of the pixels that must show the plane, and median difference above which views agree on it by chance (sRGB)."""
-EXPLAINED, CUT_OFF = 0.5, 0.1
+EXPLAINED, CUT_OFF = 0.5, 0.2
 """Share of what is around the object that must show the plane, and share of the pictures' borders that the object may cover: else
 there is no such plane, or too few views see it."""
 
@@ -67,45 +69,40 @@ class Standing:
         self.cells = np.maximum(np.ceil(sides / sides.max() * CELLS / 4).astype(int), 1) * 4
         self.radius = float((sides / self.cells).max()) / 2
         self.backdrop = Backdrop(Plane.behind(self.box, sights), pictures, sights)
+        self.seen = self._look()
+        """None if the views agree on no plane."""
 
-    @cached_property
-    def _plane(self) -> "Seen | None":
-        """What the views show of the plane; None if they agree on none."""
+    def _look(self) -> "Seen | None":
+        """At the plane, past the object as it was found before, `ROUNDS` times."""
         differences = self.backdrop.differences()
         for _ in range(ROUNDS):
-            noise = noise_of(differences)
-            same = [_plane_in(one, noise) for one in differences]
-            if noise > MOST_NOISE or np.mean([one.mean() for one in same]) < LEAST_SEEN:
+            seen = Seen(differences, noise_of(differences))
+            if seen.noise > MOST_NOISE or np.mean([one.mean() for one in seen.plane]) < LEAST_SEEN:
                 return None
             hidden = []
-            for outline, one in zip(self._outlines([~one for one in same], EMPTY_BY), differences, strict=True):
-                hidden.append(_inner(outline) | (outline & np.isfinite(one) & (one > OTHER * noise)))
-            differences = self.backdrop.differences(hidden, tolerance_of(noise))
+            for outline, one in zip(self._outlines([~one for one in seen.plane], EMPTY_BY), differences, strict=True):
+                hidden.append(_inner(outline) | (outline & np.isfinite(one) & (one > OTHER * seen.noise)))
+            differences = self.backdrop.differences(hidden, tolerance_of(seen.noise))
         return Seen(differences, noise_of(differences))
 
-    def masks(self, drawn: Sequence[Drawn], *, done: Step = ignore) -> list[Flags] | None:
+    def masks(self, seen: "Seen", drawn: Sequence[Drawn], *, done: Step = ignore) -> list[Flags] | None:
         """(height, width) pixels of the object in each view; None if the plane explains too little.
 
         Args:
+            seen: what the views show of the plane.
             drawn: what strokes say of each view: it is kept, and what strokes of the background cross is not the object's.
-            done: called after each view of the two times that all are cut.
+            done: called after each view of the `TIMES` times that all are cut.
         """
-        seen = self._plane
-        if seen is None:
-            return None
-        outlines = self._outlines([~one for one in seen.plane], EMPTY_BY, drawn)
-        once = self._cut(outlines, seen, drawn, done)
-        found = self._cut(self._outlines(once, SHARE, drawn), seen, drawn, done)
+        found = [~one for one in seen.plane]
+        for share in EMPTY_BY, SHARE:
+            found = self._cut(self._outlines(found, share, drawn), seen, drawn, done)
         around = sum((~mask).sum() for mask in found)
         explained = sum((~mask & (one < SAME * seen.noise)).sum() for mask, one in zip(found, seen.differences, strict=True))
         cut_off = np.mean([np.concatenate([one[0], one[-1], one[:, 0], one[:, -1]]).mean() for one in found])
         return found if explained > EXPLAINED * around and cut_off < CUT_OFF else None
 
-    def hints(self, drawn: Sequence[Drawn]) -> list[Drawn]:
+    def hints(self, seen: "Seen", drawn: Sequence[Drawn]) -> list[Drawn]:
         """What strokes say, and what certainly shows the plane or something in front of it: for a cut by colours."""
-        seen = self._plane
-        if seen is None:
-            return list(drawn)
         found = []
         for outline, difference, plane, strokes in zip(
             self._outlines([~one for one in seen.plane], EMPTY_BY), seen.differences, seen.plane, drawn, strict=True

@@ -76,7 +76,7 @@ def grown(grower: Grower) -> Grown:
 def test_the_object_is_found_and_what_looks_like_it_elsewhere_is_not(photographed: Any, grower: Grower) -> None:
     scene, masks = photographed
     steps: list[int] = []
-    found = grower.grow(done=lambda: steps.append(1))
+    found = grower.grow(done=lambda done, _: steps.append(done))
     assert overlaps(found, masks).min() > 0.9  # an outline of one pixel is a tenth of these masks
     assert found.agreement.min() > 0.7 and len(steps) == 5 * len(scene.views)
 
