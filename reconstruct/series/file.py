@@ -14,13 +14,13 @@ from typing import Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.core.errors import UsageError, nearest
 from koala3d.datasets.core.schema import Schema, load_yaml
 from koala3d.datasets.recording import MANIFEST
 from koala3d.reconstruct.models import load_config
 
 Output = Literal["eval", "mesh", "report", "asset", "compare"]
-StepName = Literal["build", "check", "train", "eval", "mesh", "report", "asset", "compare"]
+StepName = Literal["build", "mask", "check", "train", "eval", "mesh", "report", "asset", "compare"]
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
 
 
@@ -46,6 +46,7 @@ class Piece(Schema):
 
     path: str = Field(min_length=1, description="recording or scene")
     drawing: str | None = Field(default=None, description="mesh that it is compared with, in place of the series' own")
+    like: str | None = Field(default=None, description="object of the series that it is compared with, in place of a drawing")
 
 
 class SeriesFile(Schema):
@@ -64,6 +65,7 @@ class SeriesFile(Schema):
     scale: float | None = Field(default=None, gt=0, le=1, description="size of the pictures in training; null: the preset's")
     steps: int | None = Field(default=None, ge=1, description="steps of each training; null: the preset's")
     budget_s: float | None = Field(default=None, gt=0, description="seconds of each training, in place of steps")
+    mask: bool = Field(default=True, description="find the object in recordings with 'datasets mask', and train on it alone")
     check: Literal["stop", "go_on", "none"] = Field(
         default="stop", description="what an object does if 'datasets check' finds an error in its scene; none: do not check"
     )
@@ -109,6 +111,7 @@ class Item:
     recording: Path | None  # None: there is a scene already
     scene: Path | None
     drawing: Path | None
+    like: str | None = None  # name of the object that it is compared with
 
 
 @dataclass(frozen=True)
@@ -153,6 +156,8 @@ def read(path: Path) -> Series:
     for name, one in given.items():
         piece = one if isinstance(one, Piece) else Piece(path=one)
         series.items[name] = _item(series, name, piece)
+        if piece.like is not None:
+            _check_like(name, piece, list(given), path)
     for key, file in (("calibration", about.calibration), ("drawing", about.drawing)):
         if file is not None and not (path.parent / file).is_file():
             raise UsageError(f"{key}: there is no file '{file}'", where=path, remedy=f"paths are relative to {path.parent}")
@@ -163,6 +168,15 @@ def read(path: Path) -> Series:
     return series
 
 
+def _check_like(name: str, piece: Piece, names: list[str], path: Path) -> None:
+    """Raise UsageError where an object cannot be compared with the one that it is said to be like."""
+    where, others = f"{path}, objects.{name}", [other for other in names if other != name]
+    if piece.drawing is not None:
+        raise UsageError("drawing and like exclude each other", where=where, remedy="keep one")
+    if piece.like not in others:
+        raise UsageError(f"like: there is no other object '{piece.like}'", where=where, remedy=nearest(piece.like or "", others))
+
+
 def _item(series: Series, name: str, piece: Piece) -> Item:
     """An object whose files are there."""
     place, where = series.folder / piece.path, f"{series.path}, objects.{name}"
@@ -171,10 +185,11 @@ def _item(series: Series, name: str, piece: Piece) -> Item:
     if piece.drawing is not None and not (series.folder / piece.drawing).is_file():
         raise UsageError(f"there is no drawing '{piece.drawing}'", where=where, remedy=f"paths are relative to {series.folder}")
     recorded = (place / MANIFEST).is_file()
-    drawing = piece.drawing or series.about.drawing
+    drawing = None if piece.like is not None else piece.drawing or series.about.drawing
     return Item(
         name,
         place if recorded else None,
         None if recorded else place,
         None if drawing is None else series.folder / drawing,
+        piece.like,
     )

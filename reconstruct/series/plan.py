@@ -1,6 +1,6 @@
 """The steps of each object: the commands of the tutorial, in their order, with what each waits for.
 
-OUT/OBJECT/scene, run, mesh.ply, report, asset.glb, compare    what they write
+OUT/OBJECT/scene, masked, run, mesh.ply, report, asset.glb, compare    what they write
 """
 
 import os
@@ -16,6 +16,7 @@ from koala3d.reconstruct.series.step import Step
 
 GUESSED_S = {
     "build": 10.0,
+    "mask": 30.0,
     "check": 20.0,
     "train": 240.0,
     "eval": 20.0,
@@ -25,7 +26,7 @@ GUESSED_S = {
     "compare": 60.0,
 }
 """Time of each step before one has been measured [s]."""
-SCENE, MODEL, MESH, REPORT, ASSET, COMPARE = "scene", "run", "mesh.ply", "report", "asset.glb", "compare"
+SCENE, MASKED, MODEL, MESH, REPORT, ASSET, COMPARE = "scene", "masked", "run", "mesh.ply", "report", "asset.glb", "compare"
 """Names in the folder of an object."""
 
 
@@ -74,6 +75,9 @@ def _piece(series: Series, item: Item, out: Path, first: str) -> Piece:
     if item.recording is not None:
         calibrated = ("--calibration", seen(series.calibration or ""))
         words["build"] = scene, ("datasets", "build", seen(item.recording), *calibrated, "--out", seen(scene))
+        if about.mask:
+            words["mask"] = place / MASKED, ("datasets", "mask", seen(scene), "--out", seen(place / MASKED))
+            scene = place / MASKED
     if about.check != "none":
         words["check"] = None, ("datasets", "check", seen(scene))
     words["train"] = run, ("reconstruct", "train", seen(scene), *_training(series, item, out, first), "--out", seen(run))
@@ -87,9 +91,9 @@ def _piece(series: Series, item: Item, out: Path, first: str) -> Piece:
     if "asset" in about.outputs:
         words["asset"] = place / ASSET, ("reconstruct", "asset", seen(run), *stands, "--out", seen(place / ASSET))
     reference = None
-    if "compare" in about.outputs and (item.drawing is not None or item.name != first):
-        reference = first if item.drawing is None else None
-        other = out / first / MODEL if item.drawing is None else item.drawing
+    if "compare" in about.outputs and (item.drawing is not None or item.like is not None or item.name != first):
+        reference = (item.like or first) if item.drawing is None else None
+        other = out / reference / MODEL if item.drawing is None else item.drawing
         tolerance = () if about.tolerance_m is None else ("--tolerance", f"{about.tolerance_m:g}")
         compared = ("reconstruct", "compare-shape", seen(run), seen(other), *stands, *tolerance)
         words["compare"] = place / COMPARE, (*compared, "--out", seen(place / COMPARE))

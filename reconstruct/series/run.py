@@ -23,7 +23,7 @@ from koala3d.reconstruct.series.step import Step
 from koala3d.reconstruct.series.table import FORMAT, TABLE, VERSION, Row, row_of
 from koala3d.reconstruct.series.watch import Watch
 
-NEEDED = ("build", "check", "train")
+NEEDED = ("build", "mask", "check", "train")
 """Steps without which no later one can run."""
 STATES = ("failed", "running", "waiting", "done")
 """In the order of the page."""

@@ -35,12 +35,28 @@ def test_recordings_and_a_calibration_are_enough(folder: Path) -> None:
     assert list(found) == ["cup_1", "cup_2"]
     assert found["cup_1"] == [
         "datasets build recordings/cup_1 --calibration calibration.json --out out/cup_1/scene",
-        "datasets check out/cup_1/scene",
-        "reconstruct train out/cup_1/scene --model surfnerf --preset fast --out out/cup_1/run",
+        "datasets mask out/cup_1/scene --out out/cup_1/masked",
+        "datasets check out/cup_1/masked",
+        "reconstruct train out/cup_1/masked --model surfnerf --preset fast --out out/cup_1/run",
         "reconstruct eval out/cup_1/run",
         "reconstruct mesh out/cup_1/run --out out/cup_1/mesh.ply",
         "reconstruct report out/cup_1/run --calibration calibration.json --out out/cup_1/report",
     ]
+
+
+def test_recordings_are_trained_as_they_are_without_masks(folder: Path) -> None:
+    found = commands(folder, "objects: [recordings/cup_1]\ncalibration: calibration.json\nmask: false\n")["cup_1"]
+    assert found[1] == "datasets check out/cup_1/scene" and found[2].startswith("reconstruct train out/cup_1/scene")
+
+
+def test_objects_are_compared_with_those_that_they_are_like(folder: Path) -> None:
+    found = commands(
+        folder,
+        "objects: {a: scenes/ball, b: scenes/ball, c: {path: scenes/ball, like: b}, d: {path: scenes/ball, like: b}}\n"
+        "drawing: cup.stl\noutputs: [compare]\ncheck: none\n",
+    )
+    others = {name: steps[-1].split()[3] for name, steps in found.items()}
+    assert others == {"a": "cup.stl", "b": "cup.stl", "c": "out/b/run", "d": "out/b/run"}
 
 
 def test_everything_that_objects_share_reaches_their_commands(folder: Path) -> None:
@@ -68,6 +84,8 @@ def test_everything_that_objects_share_reaches_their_commands(folder: Path) -> N
     ("objects: [scenes/ball, recordings/../scenes/ball]\n", r"line 1: key 'objects': two objects are called 'ball': give"),
     ("objects: {a/b: scenes/ball}\n", r"'a/b' is no name of an object"),
     ("objects: {a: {path: scenes/ball, drawing: cup.obj}}\n", r"objects.a: there is no drawing 'cup.obj'"),
+    ("objects: {a: scenes/ball, b: {path: scenes/ball, like: b}}\n", r"objects.b: like: there is no other object 'b'"),
+    ("objects: {a: scenes/ball, b: {path: scenes/ball, like: a, drawing: c}}\n", r"drawing and like exclude each other"),
     ("objects: [scenes/ball]\ncalibraton: x\n", r"line 2: unknown key 'calibraton'; did you mean 'calibration'"),
     ("objects: [scenes/ball]\ncalibration: none.json\n", r"calibration: there is no file 'none.json'"),
     ("objects: [scenes/ball]\noutputs: [mash]\n", r"line 2: key 'outputs.0'.*'mesh'"),
