@@ -155,9 +155,9 @@ def read(path: Path) -> Series:
     given = about.objects if isinstance(about.objects, dict) else {Path(name).name: name for name in about.objects}
     for name, one in given.items():
         piece = one if isinstance(one, Piece) else Piece(path=one)
-        series.items[name] = _item(series, name, piece)
         if piece.like is not None:
             _check_like(name, piece, list(given), path)
+        series.items[name] = _item(series, name, piece)
     for key, file in (("calibration", about.calibration), ("drawing", about.drawing)):
         if file is not None and not (path.parent / file).is_file():
             raise UsageError(f"{key}: there is no file '{file}'", where=path, remedy=f"paths are relative to {path.parent}")
