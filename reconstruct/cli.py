@@ -38,7 +38,9 @@ def backend(as_json: console.Json = False) -> None:
 
 
 def view(
-    path: Annotated[Path, Argument(metavar="RUN|SCENE", help="Run, finished or still training, or a scene.")],
+    path: Annotated[
+        Path, Argument(metavar="RUN|SCENE|SERIES", help="Run, finished or still training; a scene; or the folder of a series.")
+    ],
     mesh: Annotated[Path | None, Option(metavar="FILE.ply", help="Mesh to overlay, written by 'reconstruct mesh'.")] = None,
     asset: Annotated[
         Path | None, Option(metavar="FILE.glb", help="Asset to show beside the model, written by 'reconstruct asset'.")
@@ -47,17 +49,20 @@ def view(
     port: console.Port = 8080,
     as_json: console.Json = False,
 ) -> None:
-    """Explore a run in the browser, during training or afterwards."""
+    """Explore a run in the browser, during training or afterwards, or see how far a series is."""
     from koala3d.datasets.core.errors import UsageError
     from koala3d.datasets.page import open_page
     from koala3d.reconstruct.backend import cache_compilations
     from koala3d.reconstruct.run import RUN, Run
+    from koala3d.reconstruct.series.table import TABLE
 
     if (asset is None) != (light is None):
         remedy = "reconstruct asset RUN --out FILE.glb --light FILE.exr writes both"
         raise UsageError("an asset is shown under its light: give both", where="--asset, --light", remedy=remedy)
     if asset is not None and not (path / RUN).is_file():
         raise UsageError("an asset is shown beside the model of a run, and this is a scene", where=path, remedy="give the run")
+    if (path / TABLE).is_file():
+        return _series(path, port, as_json)
     cache_compilations()
     with open_page(path.name, port) as page:
         if (path / RUN).is_file():
@@ -73,6 +78,19 @@ def view(
             show_scene(page, path, load_scene(path), quick=True)
         console.report({"url": page.url, "path": str(path)}, as_json=as_json, text=f"{page.url} shows {path}; Ctrl-C ends it")
         page.serve()
+
+
+def _series(folder: Path, port: int, as_json: bool) -> None:
+    """Show the page of a series until Ctrl-C."""
+    import time
+    from contextlib import suppress
+
+    from koala3d.reconstruct.page.series_page import served
+
+    with served(folder, port) as url, suppress(KeyboardInterrupt):
+        console.report({"url": url, "path": str(folder)}, as_json=as_json, text=f"{url} shows {folder}; Ctrl-C ends it")
+        while True:
+            time.sleep(1)
 
 
 COMMANDS = {

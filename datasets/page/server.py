@@ -17,6 +17,7 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from email.message import Message
 from typing import Any, NoReturn
 
 import viser
@@ -69,12 +70,12 @@ def _guarded_serving() -> Iterator[None]:
         raise KoalaError("page cannot be guarded from other sites", why=why, remedy=remedy)
 
 
-def from_own_page(headers: Headers) -> bool:
+def from_own_page(headers: Headers | Message) -> bool:
     """Whether a request names this computer as its host, once, and comes from no other site's page.
 
     A site may let its own name lead to 127.0.0.1 (DNS rebinding), and web sockets may be opened from any site's page.
     """
-    hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
+    hosts, origins = headers.get_all("Host") or [], headers.get_all("Origin") or []
     if len(hosts) != 1 or not re.fullmatch(r"(127\.0\.0\.1|localhost)(:[0-9]{1,5})?", hosts[0]):
         return False
     return all(origin == f"http://{hosts[0]}" for origin in origins)

@@ -11,7 +11,6 @@ from koala3d.datasets.core.errors import KoalaError
 from koala3d.datasets.formats import load_scene
 from koala3d.datasets.imaging import images
 from koala3d.datasets.reports.html import Cell, Link, Number, ReportPage, Thumbnail
-from koala3d.reconstruct.series.file import Series
 from koala3d.reconstruct.series.table import (
     DEVIATIONS,
     FORMAT,
@@ -31,7 +30,7 @@ HEIGHT = 56
 """Height of a row's picture [px]."""
 
 
-def write(rows: Sequence[Row], scenes: Mapping[str, Path], series: Series, out: Path, watched: Mapping[str, str]) -> None:
+def write(rows: Sequence[Row], scenes: Mapping[str, Path], out: Path, watched: Mapping[str, str]) -> None:
     """Write page and tables into `out`, each at once; they replace the former ones.
 
     Args:
@@ -43,10 +42,10 @@ def write(rows: Sequence[Row], scenes: Mapping[str, Path], series: Series, out: 
     content = [{**row.content(), "stands_out": out_of_line.get(row.name, "")} for row in rows]
     files.write_json(out / TABLE, {"format": FORMAT, "version": VERSION, "watched": dict(watched), "objects": content})
     files.write_text(out / CSV, csv_text(rows))
-    files.write_text(out / PAGE, _html(rows, scenes, series, out, out_of_line))
+    files.write_text(out / PAGE, _html(rows, scenes, out, out_of_line))
 
 
-def _html(rows: Sequence[Row], scenes: Mapping[str, Path], series: Series, out: Path, out_of_line: Mapping[str, str]) -> str:
+def _html(rows: Sequence[Row], scenes: Mapping[str, Path], out: Path, out_of_line: Mapping[str, str]) -> str:
     """The page as text."""
     page = ReportPage(f"{out.name}: {len(rows)} objects", made_by=[command_line()])
     counts = {state: sum(row.state == state for row in rows) for state in ("done", "running", "waiting", "failed")}
@@ -65,7 +64,7 @@ def _html(rows: Sequence[Row], scenes: Mapping[str, Path], series: Series, out: 
     body = [_cells(row, scenes[row.name], out, figures, failed=bool(failed)) for row in rows]
     page.table(("", "object", "state", "time [s]", *figures.values(), "files", *(["error"] if failed else [])), body)
     if compared := {key: words for key, words in headings(rows).items() if key in DEVIATIONS}:
-        _deviations(page, [row for row in rows if compared.keys() & row.figures.keys()], compared, series)
+        _deviations(page, [row for row in rows if compared.keys() & row.figures.keys()], compared)
     kinds = list(dict.fromkeys(kind for row in rows for kind in row.seconds))
     if kinds:
         page.section("Time of each step [s]")
@@ -85,15 +84,14 @@ def _cells(row: Row, scene: Path, out: Path, figures: Mapping[str, str], *, fail
     return [_picture(row, scene), row.name, state, seconds, *numbers, tuple(links), *error]
 
 
-def _deviations(page: ReportPage, rows: Sequence[Row], columns: Mapping[str, str], series: Series) -> None:
+def _deviations(page: ReportPage, rows: Sequence[Row], columns: Mapping[str, str]) -> None:
     """How the shapes deviate."""
-    drawn = any(item.drawing is not None for item in series.items.values())
-    of = "its drawing" if drawn else f"the first one, {next(iter(series.items), '')}"
-    words = f"Of each object from {of}, outward positive. Significant: beyond what its uncertainty explains."
+    words = "Outward positive. Significant: beyond what its uncertainty explains. The mean piece is in the folder 'mean'."
     page.section("Deviations of shape", words)
     shown = {key: heading for key, heading in columns.items() if not key.endswith("_std")}
     number = lambda row, key: Number(row.figures.get(key), std=row.figures.get(f"{key}_std"))  # noqa: E731
-    page.table(("object", *shown.values()), [(row.name, *(number(row, key) for key in shown)) for row in rows])
+    lines = [(row.name, row.compared_with, *(number(row, key) for key in shown)) for row in rows]
+    page.table(("object", "compared with", *shown.values()), lines)
 
 
 def _picture(row: Row, scene: Path) -> Thumbnail | None:

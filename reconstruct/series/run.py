@@ -2,6 +2,7 @@
 
 OUT/OBJECT/...                 see `plan` and `step`
 OUT/index.html, series.csv     the page and the table, written anew when a step begins or ends
+OUT/mean                       the mean piece of those that are compared with one surface, at the end
 OUT/series.json                the same for programs; it also keeps which recordings `--watch` has found
 """
 
@@ -16,7 +17,7 @@ from koala3d.datasets.core.console import hint
 from koala3d.datasets.core.errors import UsageError
 from koala3d.reconstruct.errors import ReconstructError
 from koala3d.reconstruct.experiments.waiting import Runner
-from koala3d.reconstruct.series import page
+from koala3d.reconstruct.series import mean, page
 from koala3d.reconstruct.series.file import Series
 from koala3d.reconstruct.series.plan import Piece, Times, plan
 from koala3d.reconstruct.series.step import Step
@@ -96,13 +97,16 @@ class Shelf:
 
     def rows(self) -> list[Row]:
         """A row for each object, failures first, then those at work, those that wait, and those that are done."""
-        rows = [row_of(piece, *self._state(piece)) for piece in self.pieces.values()]
+        means: dict[str, tuple[str, float]] = {}
+        for kind in mean.kinds(self.pieces):
+            means |= {name: (kind.name, away) for name, away in mean.read(kind, self.out).items()}
+        rows = [row_of(piece, *self._state(piece), means.get(name)) for name, piece in self.pieces.items()]
         return sorted(rows, key=lambda row: STATES.index(row.state))
 
     def write(self) -> None:
         """Write page and tables; they replace the former ones."""
         scenes = {name: piece.scene for name, piece in self.pieces.items()}
-        page.write(self.rows(), scenes, self.series, self.out, {name: str(path) for name, path in self.watched.items()})
+        page.write(self.rows(), scenes, self.out, {name: str(path) for name, path in self.watched.items()})
 
     def _take(self, found: dict[str, Path]) -> None:
         """Add recordings that have come."""
@@ -178,6 +182,8 @@ def run(shelf: Shelf, runner: Runner[Step]) -> dict[str, Any]:
             shelf.write()
             for step, problem in runner(shelf.batches()):
                 shelf.told(step, problem)
+            for kind in mean.kinds(shelf.pieces):
+                mean.write(kind, shelf.out)
         except KeyboardInterrupt:
             if shelf.watch is None:
                 raise

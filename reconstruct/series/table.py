@@ -21,6 +21,7 @@ DEVIATIONS = {
     "deviation_p95_mm": "95 % below [mm]",
     "within": "within tolerance [%]",
     "significant": "significant [%]",
+    "from_mean_mm": "from the mean piece, RMS [mm]",
     "scale": "scale",
     "scale_std": "its standard deviation",
 }
@@ -28,9 +29,7 @@ DEVIATIONS = {
 MOST_SIGNIFICANT = 1.0
 """Share of a surface that may deviate significantly before the piece stands out [%]."""
 MOST_UNLIKE = 3.0
-"""Multiple of the median RMS deviation of the other pieces from which on a piece stands out."""
-FEWEST = 3
-"""Pieces of which one can be unlike the others."""
+"""Multiple of the other pieces' median distance from the mean piece from which on a piece stands out."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +43,8 @@ class Row:
     seconds: dict[str, float]  # of its finished steps
     figures: dict[str, float]
     files: dict[str, Path]  # what is there, by what it is
+    compared_with: str  # object or drawing that its shape is compared with; "" for none
+    mean: str  # name of the mean piece of its kind; "" for none
     place: dict[str, Any]  # where it deviates most: `point_m`, `deviation_m`, `std_m`, `area_m2`; empty where not compared
 
     def content(self) -> dict[str, Any]:
@@ -51,8 +52,12 @@ class Row:
         return {**vars(self), "files": {name: str(path) for name, path in self.files.items()}}
 
 
-def row_of(piece: Piece, state: str, step: str, error: str) -> Row:
-    """What the results of an object's steps say. Raises DatasetError: one is damaged."""
+def row_of(piece: Piece, state: str, step: str, error: str, mean: tuple[str, float] | None = None) -> Row:
+    """What the results of an object's steps say. Raises DatasetError: one is damaged.
+
+    Args:
+        mean: name of the mean piece of its kind, and how far it is from that (RMS) [m], if that is known.
+    """
     results = {one.kind: one.read() for one in piece.steps if one.done}
     output = {kind: result["output"] for kind, result in results.items()}
     evaluation = {**output.get("eval", {}).get("mean", {}), **output.get("eval", {}).get("mesh", {})}
@@ -65,9 +70,23 @@ def row_of(piece: Piece, state: str, step: str, error: str) -> Row:
     if "compare" in results:
         shape = files.read_json(place / COMPARE / SHAPE)
         figures |= _deviations(shape)
+    figures |= {} if mean is None else {"from_mean_mm": 1e3 * mean[1]}
     places = shape.get("places") or [{}]
+    drawing = piece.item.drawing
+    other = piece.reference or (drawing.name if drawing is not None else "")
     seconds = {kind: float(result["seconds"]) for kind, result in results.items()}
-    return Row(piece.item.name, state, step, error, seconds, figures, there, places[0])
+    return Row(
+        piece.item.name,
+        state,
+        step,
+        error,
+        seconds,
+        figures,
+        there,
+        other if "compare" in results else "",
+        mean[0] if mean else "",
+        places[0],
+    )
 
 
 def _deviations(shape: Mapping[str, Any]) -> dict[str, float]:
@@ -81,17 +100,15 @@ def _deviations(shape: Mapping[str, Any]) -> dict[str, float]:
 
 
 def standing_out(rows: Sequence[Row]) -> dict[str, str]:
-    """Why a piece stands out, by its name: much of it deviates significantly, or it deviates far more than the others."""
-    compared = [row for row in rows if "deviation_rms_mm" in row.figures]
+    """Why a piece stands out, by its name: much of it deviates significantly, or it is far less like the others than they are."""
     found: dict[str, str] = {}
-    for row in compared:
-        share, rms = row.figures.get("significant", 0.0), row.figures["deviation_rms_mm"]
-        others = [one.figures["deviation_rms_mm"] for one in compared if one is not row]
-        reasons = []
-        if share > MOST_SIGNIFICANT:
-            reasons.append(f"{share:.1f} % of its surface deviates significantly")
-        if len(compared) >= FEWEST and rms > MOST_UNLIKE * statistics.median(others):
-            reasons.append(f"it deviates by {rms:.3g} mm RMS, the others by {statistics.median(others):.3g} mm (median)")
+    for row in rows:
+        share = row.figures.get("significant", 0.0)
+        reasons = [f"{share:.1f} % of its surface deviates significantly"] if share > MOST_SIGNIFICANT else []
+        if (mine := row.figures.get("from_mean_mm")) is not None:
+            usual = statistics.median(one.figures["from_mean_mm"] for one in rows if one.mean == row.mean and one is not row)
+            if mine > MOST_UNLIKE * usual:
+                reasons.append(f"it is {mine:.3g} mm from the mean piece (RMS), the others {usual:.3g} mm (median)")
         if reasons and row.place:
             point = ", ".join(f"{1e3 * value:.0f}" for value in row.place["point_m"])
             reasons.append(f"most at ({point}) mm, by {1e3 * row.place['deviation_m']:.2f} mm")

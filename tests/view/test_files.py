@@ -66,11 +66,13 @@ def of_sweep(fixture: Fixture, out: Path) -> Path:
 
 def of_series(fixture: Fixture, out: Path) -> Path:
     from koala3d.reconstruct.series import page
-    from koala3d.reconstruct.series.file import Series, SeriesFile
     from koala3d.reconstruct.series.table import Row
 
-    rows = [Row(name, "done", "", "", {"train": 60.0}, {"psnr": psnr}, {}, {}) for name, psnr in (("cup", 31.0), ("jug", 28.0))]
-    page.write(rows, {row.name: out / row.name for row in rows}, Series(out / "series.yaml", SeriesFile(), {}), out, {})
+    rows = [
+        Row(name, "done", "", "", {"train": 60.0}, {"psnr": psnr}, {}, "", "", {})
+        for name, psnr in (("cup", 31.0), ("jug", 28.0))
+    ]
+    page.write(rows, {row.name: out / row.name for row in rows}, out, {})
     return out / "index.html"
 
 

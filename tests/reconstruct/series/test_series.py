@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 
 from koala3d.datasets.core import files, locks
 from koala3d.datasets.core.errors import UsageError
@@ -18,6 +19,10 @@ from koala3d.datasets.recording import Frame, Recording
 from koala3d.datasets.scene import Scene
 from koala3d.reconstruct.errors import ReconstructError
 from koala3d.reconstruct.experiments.runner import run_all
+from koala3d.reconstruct.output.mesh.files import save
+from koala3d.reconstruct.output.shape import files as shape_files
+from koala3d.reconstruct.output.shape.comparison import compare
+from koala3d.reconstruct.output.shape.stated import Stated
 from koala3d.reconstruct.series.file import read
 from koala3d.reconstruct.series.run import Shelf, run
 from koala3d.reconstruct.series.step import FORMAT, Step
@@ -122,22 +127,42 @@ def test_what_is_no_series_is_not_touched(shelf: Callable[..., Shelf], tmp_path:
         shelf("good")
 
 
+def ball(larger_mm: float) -> trimesh.Trimesh:
+    """A ball of 50 mm radius, or a little larger."""
+    return trimesh.creation.icosphere(subdivisions=4, radius=0.05 + 1e-3 * larger_mm)
+
+
 def test_pieces_that_stand_out_are_named(shelf: Callable[..., Shelf]) -> None:
+    """The mean of five balls 0, 0.1, 0.1, 0.9 and 0.1 mm too large is 0.24 mm too large."""
     names = [f"cup_{index}" for index in range(5)]
-    made = shelf(*names, more="outputs: [eval, compare]\n")
+    made = shelf(*names, more="outputs: [eval, mesh, compare]\n")
     finish_all(made, "cup_0")
-    for name, rms, share in (("cup_1", 1e-4, 0.001), ("cup_2", 1.1e-4, 0.04), ("cup_3", 9e-4, 0.002), ("cup_4", 1e-4, 0.0)):
-        finish_all(made, name, shape(rms, share))
+    save(ball(0.0), made.pieces["cup_0"].place / "mesh.ply")
+    for name, larger, share in (("cup_1", 0.1, 0.001), ("cup_2", 0.1, 0.04), ("cup_3", 0.9, 0.002), ("cup_4", 0.1, 0.0)):
+        finish_all(made, name)
+        place = made.pieces[name].place / "compare"
+        shape_files.write(compare(Stated(name, ball(larger)), Stated("cup_0", ball(0.0))), place, "")
+        files.write_json(place / "shape.json", shape(1e-3 * larger, share))
     result = run(made, run_all)
     assert len(result["objects"]) == 5
-    out = {name: row["stands_out"] for name, row in table(made).items() if row["stands_out"]}
+    rows = table(made)
+    from_mean = {name: row["figures"]["from_mean_mm"] for name, row in rows.items()}
+    assert from_mean == pytest.approx({"cup_0": 0.24, "cup_1": 0.14, "cup_2": 0.14, "cup_3": 0.66, "cup_4": 0.14}, abs=2e-3)
+    mean = trimesh.load_mesh(made.out / "mean" / "cup_0.ply", process=False)
+    assert np.linalg.norm(mean.vertices, axis=1) == pytest.approx(0.05021, abs=6e-5)  # its facets are flat
+    spread = np.asarray(mean.metadata["_ply_raw"]["vertex"]["data"]["spread"]).ravel()
+    assert np.median(spread) == pytest.approx(np.std([0, 1e-4, 1e-4, 9e-4, 1e-4]), abs=1e-5)
+    out = {name: row["stands_out"] for name, row in rows.items() if row["stands_out"]}
     assert list(out) == ["cup_2", "cup_3"]
     assert out["cup_2"] == "4.0 % of its surface deviates significantly; most at (410, 0, 200) mm, by -1.00 mm"
-    assert out["cup_3"].startswith("it deviates by 0.9 mm RMS, the others by 0.1 mm (median); most at")
+    assert out["cup_3"].startswith("it is 0.66 mm from the mean piece (RMS), the others 0.14 mm (median); most at")
     page = (made.out / "index.html").read_text()
-    assert "of each object from the first one, cup_0" in page.lower() and 'href="cup_1/compare/index.html"' in page
+    assert "the mean piece is in the folder" in page.lower() and 'href="cup_1/compare/index.html"' in page
     (row,) = [row for row in csv.DictReader((made.out / "series.csv").open()) if row["object"] == "cup_3"]
     assert float(row["deviation_rms_mm"]) == pytest.approx(0.9) and float(row["scale"]) == 1.003
+    written = (made.out / "mean" / "cup_0.json").stat().st_mtime_ns
+    run(shelf(*names, more="outputs: [eval, mesh, compare]\n"), run_all)
+    assert (made.out / "mean" / "cup_0.json").stat().st_mtime_ns == written
 
 
 @pytest.fixture
