@@ -155,7 +155,7 @@ def test_pieces_that_stand_out_are_named(shelf: Callable[..., Shelf]) -> None:
     out = {name: row["stands_out"] for name, row in rows.items() if row["stands_out"]}
     assert list(out) == ["cup_2", "cup_3"]
     assert out["cup_2"] == "4.0 % of its surface deviates significantly; most at (410, 0, 200) mm, by -1.00 mm"
-    assert out["cup_3"].startswith("it is 0.66 mm from the mean piece (RMS), the others 0.14 mm (median); most at")
+    assert out["cup_3"].startswith("it is 0.661 mm from the mean piece (RMS), the others 0.14 mm (median); most at")
     page = (made.out / "index.html").read_text()
     assert "the mean piece is in the folder" in page.lower() and 'href="cup_1/compare/index.html"' in page
     (row,) = [row for row in csv.DictReader((made.out / "series.csv").open()) if row["object"] == "cup_3"]
