@@ -125,13 +125,15 @@ class Backdrop:
         colour, known = _agreed(self.colours, free, tolerance, SHARES[hidden is not None])
         known = _like_others(colour, known, self.under)
         colour, known = colour.reshape(SIDE, SIDE, 3), known.reshape(SIDE, SIDE).astype(np.float32)
-        found = []
+        sharp, smooth = [], []
         for picture, (index, on) in zip(self.pictures, self.shown, strict=True):
             place = index[..., ::-1]  # OpenCV has the column first
             seen = (on & (_at(known, place) > 0.99)).astype(np.float32)
-            away = _blurred((picture - _at(colour, place)) * seen[..., None]) / np.maximum(_blurred(seen), 1e-6)[..., None]
-            found.append(np.where(seen > 0, np.abs(away).mean(-1), np.inf).astype(np.float32))
-        return found
+            away = (picture - _at(colour, place)) * seen[..., None]
+            for one, to in ((away, sharp), (_blurred(away) / np.maximum(_blurred(seen), 1e-6)[..., None], smooth)):
+                to.append(np.where(seen > 0, np.abs(one).mean(-1), np.inf).astype(np.float32))
+        share = noise_of(smooth) / max(noise_of(sharp), 1e-6)  # smooth ones are wide where the object begins
+        return [np.minimum(one, share * other) for one, other in zip(smooth, sharp, strict=True)]
 
 
 def noise_of(differences: Sequence[Picture]) -> float:

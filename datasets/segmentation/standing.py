@@ -35,6 +35,8 @@ BAND = 9
 """Width of the border within which each view is cut anew [px]."""
 EXPECTED, POSSIBLE = 0.8, 0.45
 """Expectation of pixels on the silhouette of what is left, and next to it; see `cut`."""
+NEAR = 5
+"""Width of the square in which a border's pixel is compared with those behind it [px]."""
 LARGE = 0.03
 """Share of a picture from which on pixels that show the plane need not be joined with its border."""
 LEAST_SEEN, MOST_NOISE = 0.2, 0.025
@@ -141,7 +143,8 @@ class Standing:
             clear = ~other & (seen.plane[view] | (same & ~core))
             certain = Drawn((other | strokes.object) & ~strokes.background, (clear & ~strokes.object) | strokes.background)
             expected = np.select([outline, wide], [EXPECTED, POSSIBLE], 0.0).astype(np.float32)
-            found.append(_largest(cut(self.pictures[view], expected, certain)) | certain.object & strokes.object)
+            mask = _trimmed(_largest(cut(self.pictures[view], expected, certain)), difference)
+            found.append((mask & ~strokes.background) | strokes.object)
             done()
         return found
 
@@ -153,6 +156,16 @@ def _plane_in(difference: Picture, noise: float) -> Flags:
     counts = figures[:, cv2.CC_STAT_AREA] > LARGE * same.size
     counts[np.concatenate([parts[0], parts[-1], parts[:, 0], parts[:, -1]])] = True
     return np.asarray(counts[parts] & (parts > 0))
+
+
+def _trimmed(mask: Flags, difference: Picture) -> Flags:
+    """The mask without pixels of its border that show more of the plane than of the object.
+
+    A pixel that the object half covers differs from the plane half as much as the ones behind it."""
+    inner = mask & np.isfinite(difference) & (cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=1) > 0)
+    values = np.where(inner, difference, 0).astype(np.float32)
+    near = cv2.blur(values, (NEAR, NEAR)) / np.maximum(cv2.blur(inner.astype(np.float32), (NEAR, NEAR)), 1e-6)
+    return mask & (inner | ~np.isfinite(difference) | (difference > near / 2))
 
 
 def _inner(outline: Flags, width: int = BAND) -> Flags:
