@@ -84,7 +84,7 @@ def served(folder: Path, port: int) -> Iterator[str]:
         with server:
             Thread(target=server.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True).start()
             try:
-                yield f"http://{HOST}:{number}"
+                yield f"http://{HOST}:{server.server_port}"
             finally:
                 server.shutdown()
         return
