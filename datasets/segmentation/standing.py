@@ -159,13 +159,14 @@ def _plane_in(difference: Picture, noise: float) -> Flags:
 
 
 def _trimmed(mask: Flags, difference: Picture) -> Flags:
-    """The mask without pixels of its border that show more of the plane than of the object.
+    """The mask, smooth, without pixels of its border that show more of the plane than of the object.
 
     A pixel that the object half covers differs from the plane half as much as the ones behind it."""
     inner = mask & np.isfinite(difference) & (cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=1) > 0)
     values = np.where(inner, difference, 0).astype(np.float32)
     near = cv2.blur(values, (NEAR, NEAR)) / np.maximum(cv2.blur(inner.astype(np.float32), (NEAR, NEAR)), 1e-6)
-    return mask & (inner | ~np.isfinite(difference) | (difference > near / 2))
+    kept = mask & (inner | ~np.isfinite(difference) | (difference > near / 2))
+    return np.asarray(cv2.medianBlur(kept.astype(np.uint8), 3) > 0)
 
 
 def _inner(outline: Flags, width: int = BAND) -> Flags:
