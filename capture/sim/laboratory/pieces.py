@@ -9,7 +9,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-DEPTH, RADIUS, HEIGHT = 0.001, 0.012, 0.6
+DEPTH, RADIUS, HEIGHT = 0.001, 0.012, 0.75
 """Of the dent [m], and how high it is on the object's side, as a share of the object's height."""
 EDGE = 0.0012
 """Longest edge of the triangles about the dent [m]."""
