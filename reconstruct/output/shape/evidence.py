@@ -13,7 +13,6 @@ from koala3d.reconstruct.field.cloud import Cloud
 from koala3d.reconstruct.field.field import Field
 from koala3d.reconstruct.field.lit import Lit
 from koala3d.reconstruct.numerics.compiling import compiled
-from koala3d.reconstruct.numerics.volume import OPAQUE, optical_depth
 from koala3d.reconstruct.output.mesh.field_samples import by_chunks
 from koala3d.reconstruct.output.mesh.visibility import seen_from
 from koala3d.reconstruct.output.trained_model import TrainedModel
@@ -24,10 +23,6 @@ from koala3d.reconstruct.scene.space import Space
 if TYPE_CHECKING:
     import trimesh
 
-STEPS, REACH = 17, 1 / 48
-"""Samples along the normal through the surface, and half the length of this way in the longest side of the object's box."""
-EARLY, LATE = 0.16, 0.84
-"""Shares of light between which half the way is one standard deviation of a normal distribution."""
 ROUGH = 0.1
 """The model's roughness (inverse concentration of a lobe) at which a reflection is half as sharp as a mirror's."""
 CHUNK = 1 << 11
@@ -44,10 +39,6 @@ class Evidence:
     """Root mean square angle of their directions from the mean direction [rad]."""
     pixel: Float[np.ndarray, " v"]
     """Width of a pixel there, at the scale of the training: the median view's."""
-    soft: Float[np.ndarray, " v"]
-    """How soft the surface is along its normal: half the way on which the light falls from `LATE` to `EARLY`."""
-    offset: Float[np.ndarray, " v"]
-    """How far the vertex is from where half of the light is lost: positions and predicted normals disagree."""
     depth: Float[np.ndarray, " v"]
     """How deep the vertex lies in the visual hull: what outlines leave open. Outside it, 0; infinite where there are no masks."""
     mirror: Float[np.ndarray, " v"]
@@ -61,21 +52,14 @@ def of(trained: TrainedModel, mesh: "trimesh.Trimesh") -> Evidence:
     points, normals = (np.asarray(one, np.float64) for one in (mesh.vertices, mesh.vertex_normals))
     views, spread, pixel, depth = _seen(trained, points, normals)
     field, facts = trained.model.field, trained.run.facts
-    side = float(np.ptp(np.asarray(trained.scene.box), axis=0).max())
-    step = jnp.asarray(2 * REACH * side * facts.normalisation.scale / (STEPS - 1), jnp.float32)
     local = (points - facts.normalisation.centre) * facts.normalisation.scale
-    values = by_chunks(
-        lambda p, n: _through(field, p, n, step, facts.normalisation.space, facts.light), local, normals, size=CHUNK
-    )
-    (soft, offset), mirror, predicted = (
-        values[:, :2].T.astype(np.float64) / facts.normalisation.scale,
-        values[:, 2],
-        values[:, 3:],
-    )
+    at = lambda p, n: _at(field, p, n, facts.normalisation.space, facts.light)  # noqa: E731
+    values = by_chunks(at, local, normals, size=CHUNK)
+    mirror, predicted = values[:, 0], values[:, 1:]
     cosine = np.clip(np.abs(np.sum(predicted * normals, -1)), 0.1, 1)
     is_predicted = np.linalg.norm(predicted, axis=-1) > 0.5
     slope = np.where(is_predicted, np.sqrt(1 - cosine**2) / cosine, 0.0)
-    return Evidence(views, spread, pixel, soft, offset, depth, mirror.astype(np.float64), slope)
+    return Evidence(views, spread, pixel, depth, mirror.astype(np.float64), slope)
 
 
 def _seen(
@@ -118,30 +102,14 @@ def _inside(view: View, points: Float[np.ndarray, "v 3"], scale: float) -> Float
 
 
 @compiled
-def _through(
-    field: Field,
-    points: Float[Array, "3 n"],
-    normals: Float[Array, "3 n"],
-    step: Float[Array, ""],
-    space: Space,
-    frame: LightFrame,
-) -> Float[Array, "6 n"]:
-    """Softness and offset [scene unit], mirror, predicted normal."""
-    count = points.shape[1]
-    offsets = (jnp.arange(STEPS) - (STEPS - 1) / 2) * step
-    along = points[:, :, None] - normals[:, :, None] * offsets
-    density = field.density(Cloud(along.reshape(3, -1), None, space)).reshape(count, STEPS)
-    before = jnp.pad(density[:, :-1], ((0, 0), (1, 0)))
-    lost = jnp.cumsum(optical_depth(density, before, jnp.broadcast_to(step, density.shape), solid=field.solid), -1)
-    left = jnp.exp(-jnp.minimum(lost, OPAQUE))
-    falling = jnp.sum(jnp.clip((left - EARLY) / (LATE - EARLY), 0, 1), -1)
-    reach = step * (STEPS - 1) / 2
-    soft = jnp.where(left[:, -1] > EARLY, reach, step * (falling - jnp.sum(left > LATE, -1)))
-    offset = jnp.abs(step * (falling - 0.5) - reach)
+def _at(
+    field: Field, points: Float[Array, "3 n"], normals: Float[Array, "3 n"], space: Space, frame: LightFrame
+) -> Float[Array, "4 n"]:
+    """Mirror, predicted normal."""
     _, material = field(Cloud(points, None, space))
     light = Lit.towards(frame, -normals)
     lit = field.under_lamps(material, light)
     shiny = jnp.sum(jnp.abs(field.shade(lit, -normals, light=light, places=points).specular), 0)
     share = shiny / jnp.maximum(shiny + jnp.sum(lit.diffuse, 0), 1e-6)
     sharp = 1 / (1 + jnp.maximum(material.roughness[0], 0.0) / ROUGH)
-    return jnp.concatenate([jnp.stack([soft, offset, share * sharp]), material.normals_pred])
+    return jnp.concatenate([(share * sharp)[None], material.normals_pred])
