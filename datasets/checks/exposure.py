@@ -39,10 +39,11 @@ def _exposure(found: ExposureGains) -> list[Finding]:
     worst = chosen[np.argsort(-np.abs(gains[chosen]))]
     listed = ", ".join(f"{found.names[i]}: {np.exp(gains[i]):.2f}" for i in worst[:5])
     why = f"light compared with the median view: {listed}"
+    known = np.flatnonzero(np.isfinite(gains))  # JSON has no NaN for the others
     figures = {
         "views": {found.names[i]: float(np.exp(gains[i])) for i in worst},
-        "gains": {name: values.tolist() for name, values in zip(found.names, np.exp(found.log_gains), strict=True)},
-        "log_std": dict(zip(found.names, std.tolist(), strict=True)),
+        "gains": {found.names[i]: np.exp(found.log_gains[i]).tolist() for i in known},
+        "log_std": {found.names[i]: float(std[i]) for i in known if np.isfinite(std[i])},
     }
     what = "the same points are not equally bright in all views: exposure drifts, or the light moves"
     remedy = "fix exposure, gain and white balance while recording, or drop these views; training learns a gain for each view"

@@ -1,5 +1,6 @@
 """Each cause is named in pictures of two textured walls, and nothing is named in untouched ones."""
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -14,6 +15,7 @@ from koala3d.datasets.checks.matches import check_evidence
 from koala3d.datasets.core.findings import Finding
 from koala3d.datasets.scene import Scene
 from koala3d.datasets.structure.epipolar import Correction
+from koala3d.datasets.structure.exposure import ExposureGains
 from koala3d.datasets.structure.matching import Matches
 from koala3d.datasets.structure.triangulate import agreement
 from tests.bench import injure
@@ -134,3 +136,14 @@ def test_a_view_without_neighbours_is_named(walls: Scene) -> None:
     assert "20" in found.evidence["views"] and found.cause == "coverage"
     assert coverage.find(walls.with_views(views[:20])) == []
     assert coverage.find(walls.with_views(views[::7]))[0].what == "views are too far apart"
+
+
+def test_a_view_without_measured_light_is_not_in_the_figures() -> None:
+    """JSON has no NaN: a NaN there made 'datasets check --json' end with a traceback in a series."""
+    gains = np.zeros((6, 3))
+    gains[1], gains[4] = np.log(0.5), np.nan
+    gains[5, 0] = np.nan
+    measured = ExposureGains(tuple("abcdef"), gains, np.where(np.isnan(gains), np.nan, 0.01), np.full(6, 50))
+    (finding,) = exposure._exposure(measured)
+    assert finding.evidence["views"] == {"b": pytest.approx(0.5)} and list(finding.evidence["gains"]) == list("abcd")
+    json.dumps(finding.evidence, allow_nan=False)
