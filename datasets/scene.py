@@ -27,6 +27,8 @@ LIGHT = ("diffuse", "specular")
 """Those of them that are linear light."""
 LONGEST_NAME = 200
 """Longest name of a view [bytes]; as a file it gets a prefix and a suffix."""
+MASKS_FROM, PICTURES = "masks_from", "pictures"
+"""Part of the provenance of a scene that `datasets mask` has written, and its value if the masks were found in the pictures."""
 TURNED = "turned"
 """Part of the provenance of a scene of two sessions of an object that was turned over: the motion, its deviation, and the names
 of the `views` of the second session."""

@@ -112,7 +112,7 @@ def _of_known_shape(scene: "Scene", mesh: Path, out: Path, extra: "Extra", as_js
             "the mesh is not where the views look", where=mesh, why=why, remedy="give it in the scene's world and unit"
         )
     with console.progress("writing", len(masks), "views") as shown:
-        write(scene, masks, [], out, extra=extra, done=shown.advance)
+        write(scene, masks, [], out, known_shape=True, extra=extra, done=shown.advance)
     covered = sum(one.mean() for one in masks) / len(masks)
     text = f"{len(masks)} masks written to {out}; the mesh covers {covered:.0%} of the pictures"
     console.report({"out": str(out), "views": len(masks), "unseen": unseen}, as_json=as_json, text=text)

@@ -13,7 +13,7 @@ from koala3d.datasets.core.progress import Step, ignore
 from koala3d.datasets.formats import koala
 from koala3d.datasets.formats.links import Extra
 from koala3d.datasets.imaging import images
-from koala3d.datasets.scene import STATED, Scene
+from koala3d.datasets.scene import MASKS_FROM, PICTURES, STATED, Scene
 from koala3d.datasets.segmentation import strokes
 from koala3d.datasets.segmentation.grow import enlarged
 from koala3d.datasets.structure import bounds
@@ -29,6 +29,7 @@ def write(
     drawn: Sequence[strokes.Stroke],
     out: Path,
     *,
+    known_shape: bool = False,
     extra: Extra = None,
     done: Step = ignore,
 ) -> None:
@@ -36,6 +37,7 @@ def write(
 
     Args:
         masks: (height, width) of each view, of its picture's size or smaller.
+        known_shape: they are of a mesh, and not found in the pictures; the scene's provenance says which (`MASKS_FROM`).
         extra: more files of the scene, by their path in it.
 
     Raises:
@@ -50,7 +52,8 @@ def write(
             images.write(path, enlarged(mask, view.camera.width, view.camera.height))
             views.append(replace(view, mask=path, mask_inverted=False))
             done()
-        koala.save(alone(scene.with_views(tuple(views))), out, extra=extra)
+        provenance = {**scene.provenance, MASKS_FROM: "mesh" if known_shape else PICTURES}
+        koala.save(alone(replace(scene.with_views(tuple(views)), provenance=provenance)), out, extra=extra)
     if drawn:
         strokes.write(out / STROKES, drawn)
 

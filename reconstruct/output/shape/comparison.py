@@ -116,13 +116,18 @@ def compare(
 def _std(first: Stated, second: Stated, target: Nearest, feet: Any, aligned: Aligned) -> Float[np.ndarray, " v"] | None:
     """Standard deviation of the difference at each vertex: of both surfaces, independent of each other.
 
-    What is common to a whole surface, its place, counts only where it was left as it stands.
+    What is common to a whole surface, its place, counts only where it was left as it stands. Where outlines are counts only
+    against a surface that was not made alike, a drawing: two runs have it in common.
     """
     variance = [one.deviation**2 for one in (first,) if one.deviation is not None]
     if second.deviation is not None:
         variance.append(target.at(feet, second.deviation) ** 2)
     if not variance:
         return None
+    outlines = [one for one in (first, second) if one.outline is not None and one.outline.any()]
+    if len(outlines) == 1:
+        (one,) = outlines
+        variance.append((one.outline if one is first else target.at(feet, one.outline)) ** 2)
     if aligned.by == "base":
         variance += [first.common**2] if first.common is not None else []
         variance += [target.at(feet, second.common) ** 2] if second.common is not None else []

@@ -20,7 +20,7 @@ Unit = Literal["m", "mm", "cm", "in"]
 METRES: dict[str, float] = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254}
 """Metres per unit of a file."""
 UNITS: tuple[Unit, ...] = get_args(Unit)
-DEVIATION, COMMON, KNOWN = "deviation", "common", "known"
+DEVIATION, COMMON, OUTLINE, KNOWN = "deviation", "common", "outline", "known"
 """Names of what is known of each vertex's error in PLY files: see `Stated`."""
 FINEST = 1 / 100
 """Longest edge of a mesh without stated errors, as a share of its size: deviations are measured at vertices."""
@@ -38,6 +38,8 @@ class Stated:
     """What moves or scales the whole object: of the calibration. None: not stated."""
     known: Bool[np.ndarray, " v"] | None = None
     """False where nothing is known of the surface. None: known everywhere."""
+    outline: Float[np.ndarray, " v"] | None = None
+    """What moves all outlines alike: of masks that were found in the pictures. None: not stated."""
 
     @property
     def size(self) -> float:
@@ -71,7 +73,7 @@ def read(path: Path, *, unit: Unit = "m", stands_on: str | None = None) -> State
 
 def attach(mesh: "trimesh.Trimesh", found: "Uncertain") -> None:
     """State the errors of a mesh's vertices as properties, which PLY files keep and `read` finds."""
-    properties = {DEVIATION: found.deviation, COMMON: found.common}
+    properties = {DEVIATION: found.deviation, COMMON: found.common, OUTLINE: found.outline}
     mesh.vertex_attributes.update({name: values.astype(np.float32) for name, values in properties.items()})
     mesh.vertex_attributes[KNOWN] = found.known.astype(np.uint8)
 
@@ -104,23 +106,23 @@ def _of_run(path: Path, stands_on: str | None) -> Stated:
         raise UsageError("shapes are compared in metres", where=path, why=why, remedy=remedy)
     mesh = extraction.extract(trained, stands_on=stands_on)
     found = uncertainty.of(trained, mesh)
-    return Stated(path.name, mesh, found.deviation, found.common, found.known)
+    return Stated(path.name, mesh, found.deviation, found.common, found.known, found.outline)
 
 
 def _stated(
     mesh: "trimesh.Trimesh", path: Path
-) -> tuple[Float[np.ndarray, " v"], Float[np.ndarray, " v"], Bool[np.ndarray, " v"]] | None:
+) -> tuple[Float[np.ndarray, " v"], Float[np.ndarray, " v"], Bool[np.ndarray, " v"], Float[np.ndarray, " v"]] | None:
     """What a PLY file of `reconstruct mesh` states of its vertices; None where it states nothing."""
     vertices = mesh.metadata.get("_ply_raw", {}).get("vertex", {}).get("data")
     names = vertices.dtype.names if isinstance(vertices, np.ndarray) and vertices.dtype.names else ()
     if DEVIATION not in names or len(vertices) != len(mesh.vertices):
         return None
     count = len(mesh.vertices)
-    local, common = (
+    local, common, outline = (
         np.asarray(vertices[name], np.float64).reshape(count) if name in names else np.zeros(count)
-        for name in (DEVIATION, COMMON)
+        for name in (DEVIATION, COMMON, OUTLINE)
     )
     known = np.asarray(vertices[KNOWN]).reshape(count) != 0 if KNOWN in names else np.ones(count, bool)
-    if not (np.isfinite([local, common]).all() and min(local.min(), common.min()) >= 0):
+    if not (np.isfinite([local, common, outline]).all() and min(local.min(), common.min(), outline.min()) >= 0):
         raise DatasetError("states impossible deviations", where=path, why="negative, or not finite", remedy="extract it again")
-    return local, common, known
+    return local, common, known, outline

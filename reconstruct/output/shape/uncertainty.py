@@ -7,7 +7,7 @@ Errors of single places are taken to be normal along the surface's normal, with 
 of `Evidence`: what pictures resolve, and the more of them the better; how far the density's normals and the predicted ones
 disagree; and what outlines leave open behind them, where nothing but colours and reflections say how deep the surface is. The
 three numbers are fitted to rendered scenes whose true shape is known (`python -m tests.bench.shape_coverage`, docs/shape.md).
-What moves the whole object is in `common`.
+What moves the whole object is in `common`, and where all outlines are in `outline`.
 """
 
 from dataclasses import dataclass
@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from koala3d.datasets.core import files
+from koala3d.datasets.scene import MASKS_FROM, PICTURES
 from koala3d.reconstruct.output.shape import common, evidence
 from koala3d.reconstruct.output.shape.evidence import Evidence
 from koala3d.reconstruct.output.shape.places import vertex_areas
@@ -36,6 +37,9 @@ EXPECTED, SPREAD = 0.52, 0.68
 objects. Normal errors have 0.80; these have long tails, which the band is made to hold."""
 BAND = 1.96
 """Standard deviations on either side within which 95 % of normal errors are."""
+OUTLINE = 0.7
+"""Pixels by which outlines that were found in the pictures are off: alike for pieces that were recorded alike, so their
+differences do not have it."""
 FEWEST_VIEWS, LEAST_SPREAD = 3, np.deg2rad(5.0)
 """Views that have to see a place, and how different their directions have to be, so that anything is known of it."""
 MIRROR, MIRROR_VIEWS = 0.5, 8
@@ -67,6 +71,8 @@ class Uncertain:
     """Area around each vertex."""
     common: Float[np.ndarray, " v"]
     """Standard deviation by what moves the whole object; 0 where the scene states no calibration."""
+    outline: Float[np.ndarray, " v"]
+    """Standard deviation by where all outlines are, see `OUTLINE`; 0 where masks were not found in the pictures."""
     scale_std: float | None
     place_std: float | None
     metric: bool
@@ -80,7 +86,7 @@ class Uncertain:
         if known > 0:
             order = np.argsort(self.deviation)
             middle = np.searchsorted(np.cumsum(areas[order]), areas.sum() / 2)
-            mean = EXPECTED * float(np.average(self.deviation, weights=areas))
+            mean = EXPECTED * float(np.average(np.hypot(self.deviation, self.outline), weights=areas))
             interval = [mean * float(np.exp(side * BAND * SPREAD)) for side in (-1, 1)]
             found |= {"median_std": float(self.deviation[order[middle]]), "expected_error": {"value": mean, "interval": interval}}
         return found | {
@@ -104,6 +110,7 @@ def of(trained: TrainedModel, mesh: "trimesh.Trimesh") -> Uncertain:
         known,
         vertex_areas(mesh),
         np.zeros(len(points)) if whole is None else whole.along(points, np.asarray(mesh.vertex_normals)),
+        found.pixel * (OUTLINE if trained.scene.provenance.get(MASKS_FROM) == PICTURES else 0.0),
         None if whole is None else whole.scale_std,
         None if whole is None else whole.place_std,
         trained.scene.metric,

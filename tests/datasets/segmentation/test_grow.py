@@ -145,7 +145,7 @@ def test_a_stated_box_stays(photographed: Any, grown: Grown, tmp_path: Path) -> 
     write(scene, grown.masks, [], tmp_path / "out")
     read = koala.load(tmp_path / "out")
     np.testing.assert_allclose(read.box, scene.box)
-    assert read.background == "white" and read.bounds_from == "stated"
+    assert read.background == "white" and read.bounds_from == "stated" and read.provenance["masks_from"] == "pictures"
 
 
 @pytest.mark.parametrize(

@@ -82,7 +82,7 @@ def test_the_command_masks_a_scene_whose_colours_tell_nothing(scene: Path, tmp_p
     assert json.loads(ran.stdout) == {"out": str(tmp_path / "masked"), "views": 5, "unseen": 0}
     assert (tmp_path / "masked" / "truth" / "object.ply").read_bytes() == mesh.read_bytes()  # for 'reconstruct eval'
     masked = load_scene(str(tmp_path / "masked"))
-    assert masked.background == "white" and masked.box_is_stated
+    assert masked.background == "white" and masked.box_is_stated and masked.provenance["masks_from"] == "mesh"
     np.testing.assert_allclose(masked.box, load_scene(str(scene)).box)
     for view in masked.views:
         exact = coverage(view, CENTRE)

@@ -90,6 +90,15 @@ def test_what_stands_in_one_frame_is_left_there() -> None:
     assert fitted.significant.mean() < 0.01
 
 
+def test_outlines_that_are_off_alike_do_not_tell_two_runs_apart() -> None:
+    """But a drawing has none of it."""
+    off = np.full(len(DRAWN.vertices), 2 * NOISE)
+    one, other = replace(piece(0), outline=off), replace(piece(1), outline=off)
+    assert comparison.compare(one, other).std == pytest.approx(np.sqrt(2) * NOISE)
+    assert comparison.compare(one, DRAWING).std == pytest.approx(np.sqrt(5) * NOISE)
+    assert comparison.compare(piece(0), other).std == pytest.approx(np.sqrt(6) * NOISE)
+
+
 def test_an_unknown_part_is_not_judged() -> None:
     dented = piece(dent=DENT)
     known = np.linalg.norm(np.asarray(DRAWN.vertices) - PLACE, axis=-1) > 4 * WIDTH

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from koala3d.datasets.calibration import UncertainPose
-from koala3d.datasets.scene import Scene
+from koala3d.datasets.scene import MASKS_FROM, PICTURES, Scene
 from koala3d.reconstruct.output.mesh import extraction
 from koala3d.reconstruct.output.mesh import files as mesh_files
 from koala3d.reconstruct.output.shape import comparison, evidence, stated, uncertainty
@@ -92,6 +92,7 @@ def test_a_mesh_states_its_errors_and_is_read_with_them(ball: TrainedModel, tmp_
     again = stated.read(tmp_path / "ball.ply")
     assert again.deviation == pytest.approx(certain.deviation, rel=1e-6)
     np.testing.assert_array_equal(again.known, certain.known)
+    assert again.outline == pytest.approx(certain.outline)
 
 
 def test_the_run_keeps_the_summary_for_its_report(ball: TrainedModel, tmp_path: Path) -> None:
@@ -108,6 +109,15 @@ def test_a_calibration_that_is_stated_is_common_to_all(ball: TrainedModel) -> No
     certain = uncertainty.of(replace(ball, scene=scene), ball_mesh())
     assert certain.scale_std is not None and 1e-3 < certain.scale_std < 1e-2
     assert (certain.common > 0).all() and certain.deviation == pytest.approx(uncertainty.of(ball, ball_mesh()).deviation)
+
+
+def test_outlines_that_were_found_are_uncertain(ball: TrainedModel) -> None:
+    scene = replace(ball.scene, provenance=ball.scene.provenance | {MASKS_FROM: PICTURES})
+    certain, exact = uncertainty.of(replace(ball, scene=scene), ball_mesh()), uncertainty.of(ball, ball_mesh())
+    pixel = evidence.of(ball, ball_mesh()).pixel
+    assert certain.outline == pytest.approx(uncertainty.OUTLINE * pixel) and (exact.outline == 0).all()
+    expected = [one.summary()["expected_error"]["value"] for one in (certain, exact)]
+    assert expected[0] > expected[1]
 
 
 def test_nothing_known_is_said_in_words(ball: TrainedModel) -> None:
