@@ -20,6 +20,7 @@ from koala3d.reconstruct.series.table import (
     Row,
     csv_text,
     headings,
+    said,
     standing_out,
 )
 
@@ -92,6 +93,9 @@ def _deviations(page: ReportPage, rows: Sequence[Row], columns: Mapping[str, str
     number = lambda row, key: Number(row.figures.get(key), std=row.figures.get(f"{key}_std"))  # noqa: E731
     lines = [(row.name, row.compared_with, *(number(row, key) for key in shown)) for row in rows]
     page.table(("object", "compared with", *shown.values()), lines)
+    if any(row.places for row in rows):
+        page.heading("Places that deviate significantly, the largest first")
+        page.items(f"{row.name}: {'; '.join(said(place) for place in row.places)}" for row in rows if row.places)
 
 
 def _picture(row: Row, scene: Path) -> Thumbnail | None:

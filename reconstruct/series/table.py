@@ -26,6 +26,8 @@ DEVIATIONS = {
     "scale_std": "its standard deviation",
 }
 """Heading of each figure of a comparison."""
+SHOWN = 3
+"""Places of an object in the table."""
 MOST_SIGNIFICANT = 1.0
 """Share of a surface that may deviate significantly before the piece stands out [%]."""
 MOST_UNLIKE = 3.0
@@ -45,7 +47,7 @@ class Row:
     files: dict[str, Path]  # what is there, by what it is
     compared_with: str  # object or drawing that its shape is compared with; "" for none
     mean: str  # name of the mean piece of its kind; "" for none
-    place: dict[str, Any]  # where it deviates most: `point_m`, `deviation_m`, `std_m`, `area_m2`; empty where not compared
+    places: list[dict[str, Any]]  # where it deviates most: `point_m`, `deviation_m`, `std_m`, `area_m2`; the largest first
 
     def content(self) -> dict[str, Any]:
         """For JSON; files as absolute paths."""
@@ -71,7 +73,6 @@ def row_of(piece: Piece, state: str, step: str, error: str, mean: tuple[str, flo
         shape = files.read_json(place / COMPARE / SHAPE)
         figures |= _deviations(shape)
     figures |= {} if mean is None else {"from_mean_mm": 1e3 * mean[1]}
-    places = shape.get("places") or [{}]
     drawing = piece.item.drawing
     other = piece.reference or (drawing.name if drawing is not None else "")
     seconds = {kind: float(result["seconds"]) for kind, result in results.items()}
@@ -85,7 +86,7 @@ def row_of(piece: Piece, state: str, step: str, error: str, mean: tuple[str, flo
         there,
         other if "compare" in results else "",
         mean[0] if mean else "",
-        places[0],
+        shape.get("places", [])[:SHOWN],
     )
 
 
@@ -109,12 +110,18 @@ def standing_out(rows: Sequence[Row]) -> dict[str, str]:
             usual = statistics.median(one.figures["from_mean_mm"] for one in rows if one.mean == row.mean and one is not row)
             if mine > MOST_UNLIKE * usual:
                 reasons.append(f"it is {mine:.3g} mm from the mean piece (RMS), the others {usual:.3g} mm (median)")
-        if reasons and row.place:
-            point = ", ".join(f"{1e3 * value:.0f}" for value in row.place["point_m"])
-            reasons.append(f"most at ({point}) mm, by {1e3 * row.place['deviation_m']:.2f} mm")
+        if reasons and row.places:
+            reasons.append(f"most {said(row.places[0])}")
         if reasons:
             found[row.name] = "; ".join(reasons)
     return found
+
+
+def said(place: Mapping[str, Any]) -> str:
+    """A place in words."""
+    point = ", ".join(f"{1e3 * value:.0f}" for value in place["point_m"])
+    std = "" if place["std_m"] is None else f" ± {1e3 * place['std_m']:.2f}"
+    return f"at ({point}) mm, by {1e3 * place['deviation_m']:.2f}{std} mm"
 
 
 def headings(rows: Sequence[Row]) -> dict[str, str]:

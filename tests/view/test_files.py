@@ -69,7 +69,7 @@ def of_series(fixture: Fixture, out: Path) -> Path:
     from koala3d.reconstruct.series.table import Row
 
     rows = [
-        Row(name, "done", "", "", {"train": 60.0}, {"psnr": psnr}, {}, "", "", {})
+        Row(name, "done", "", "", {"train": 60.0}, {"psnr": psnr}, {}, "", "", [])
         for name, psnr in (("cup", 31.0), ("jug", 28.0))
     ]
     page.write(rows, {row.name: out / row.name for row in rows}, out, {})

@@ -154,7 +154,7 @@ def test_pieces_that_stand_out_are_named(shelf: Callable[..., Shelf]) -> None:
     assert np.median(spread) == pytest.approx(np.std([0, 1e-4, 1e-4, 9e-4, 1e-4]), abs=1e-5)
     out = {name: row["stands_out"] for name, row in rows.items() if row["stands_out"]}
     assert list(out) == ["cup_2", "cup_3"]
-    assert out["cup_2"] == "4.0 % of its surface deviates significantly; most at (410, 0, 200) mm, by -1.00 mm"
+    assert out["cup_2"] == "4.0 % of its surface deviates significantly; most at (410, 0, 200) mm, by -1.00 ± 0.10 mm"
     assert out["cup_3"].startswith("it is 0.661 mm from the mean piece (RMS), the others 0.14 mm (median); most at")
     page = (made.out / "index.html").read_text()
     assert "the mean piece is in the folder" in page.lower() and 'href="cup_1/compare/index.html"' in page
