@@ -29,8 +29,9 @@ RTOL = {0: 5e-3, 9: 0.05}
 """Of the first and of the last ten steps. One machine repeats them bit for bit. Another one, and `KOALA_KERNELS=off`, sums in
 another order: 1e-7 of a value, of which Adam makes a step wherever a gradient is tiny, and which a hundred steps enlarge. Terms
 that choose among neighbours differ most: 0.35 % of the Lambertian bias in the first ten. A wrong loss is further away."""
-ATOL = 1e-7
-"""Of terms that are next to nothing, such as the decay of tables that begin within 1e-4."""
+ATOL = {0: 1e-7, 9: 5e-5}
+"""Of terms that are next to nothing, such as the decay of tables that begin within 1e-4; and in the end, of orientation, to which
+a few samples contribute whose normals look away: 23 % of its 1e-4 between two kinds of processor, all others within 3 %."""
 CHANGES = {
     "field": {"view_depth": 3},
     "train": {"rate": 0.003, "final_rate": 0.001, "per_image": "colour"},
@@ -105,7 +106,9 @@ def test_every_model_loses_what_it_lost(case: str, tmp_path: Path) -> None:
     for name, values in table.items():
         for block, rtol in RTOL.items():
             known = expected[name][str(block)]
-            np.testing.assert_allclose(values[block], known, rtol=rtol, atol=ATOL, err_msg=f"{name}, steps {BLOCK * block} on")
+            np.testing.assert_allclose(
+                values[block], known, rtol=rtol, atol=ATOL[block], err_msg=f"{name}, steps {BLOCK * block} on"
+            )
 
 
 if __name__ == "__main__" and sys.argv[1:2] == ["--update"]:
