@@ -1,13 +1,15 @@
-"""How a series is spread over workers, by counted work: its steps are slept, not run, for the time that they once took.
+"""How a series is spread over workers: its steps are counted, not run, for the time that they once took.
 
     python -m tests.bench.series_scaling SERIES.yaml OUT --objects 48
 
-OUT is the folder of a series that has run. Ray starts a cluster on this machine with so many nodes of one core each; nothing is
-computed, so a machine of two cores has room for many. A series cannot take less than its work over the number of workers, nor
-less than its longest object; that is the best.
+OUT is the folder of a series that has run. A clock goes on from the end of one step to the end of the next, each worker runs one
+step at a time, and steps are chosen as on a cluster. With `--ray` they are slept on a cluster that Ray simulates on this machine,
+with so many nodes of one core each; what is then lost is also what Ray and this machine take for each step. A series cannot take
+less than its work over the number of workers, nor less than its longest object; that is the best.
 """
 
 import contextlib
+import heapq
 import tempfile
 import time
 from collections.abc import Iterator
@@ -23,7 +25,7 @@ from ray.cluster_utils import Cluster
 from koala3d.datasets.core import files
 from koala3d.datasets.core.errors import UsageError
 from koala3d.reconstruct.experiments import on_ray
-from koala3d.reconstruct.experiments.waiting import Needs
+from koala3d.reconstruct.experiments.waiting import Batches, Needs, Waiting
 from koala3d.reconstruct.series.file import read
 from koala3d.reconstruct.series.plan import Piece, plan
 from koala3d.reconstruct.series.run import Shelf, run
@@ -41,9 +43,13 @@ class Slept(Step):
     def attempt(self) -> str:
         """Sleep, and leave a result."""
         time.sleep(self.seconds)
+        self.leave()
+        return ""
+
+    def leave(self) -> None:
+        """Leave a result."""
         content = {"command": self.command, "seconds": self.seconds, "output": {}}
         files.write_json(self.result, {"format": FORMAT, "version": VERSION, **content})
-        return ""
 
 
 def slept(piece: Piece, place: Path, faster: float) -> Piece:
@@ -68,20 +74,51 @@ def cluster(workers: int) -> Iterator[str]:
         made.shutdown()
 
 
-def measured(file: Path, out: Path, objects: int, workers: int, faster: float) -> tuple[float, float]:
-    """Time of the series with so many workers, and the best that is possible [s, not faster]."""
+def counted(batches: Batches[Slept], workers: int, clock: list[float]) -> Iterator[tuple[Slept, str | None]]:
+    """Run steps by a clock; a `waiting.Runner`.
+
+    Args:
+        clock: gets the time at the end of each step [s].
+    """
+    waiting, running, now = Waiting(batches), list[tuple[float, str, Slept]](), 0.0
+    while True:
+        waiting.look()
+        for step in sorted(waiting, key=lambda one: -one.left_s)[: workers - len(running)]:
+            waiting.remove(step)
+            heapq.heappush(running, (now + step.seconds, step.name, step))
+            yield step, None
+        if not running:
+            return
+        now, _, ended = heapq.heappop(running)
+        clock.append(now)
+        ended.leave()
+        yield ended, ""
+
+
+def measured(file: Path, out: Path, objects: int, workers: int, *, faster: float = 1.0, ray: bool = False) -> tuple[float, float]:
+    """Time of the series with so many workers, and the best that is possible [s].
+
+    Args:
+        faster: with `ray`, factor by which steps are shorter than they were.
+    """
     series = read(file)
     known = [piece for piece in plan(series, out).values() if any(step.done for step in piece.steps)]
     if not known:
         raise UsageError("has no finished steps", where=out, remedy="run the series first")
-    with tempfile.TemporaryDirectory() as folder, cluster(workers) as address:
+    with tempfile.TemporaryDirectory() as folder:
         shelf = Shelf(series, Path(folder) / "out")
         named = ((f"{piece.item.name}-{number}", piece) for number, piece in enumerate(cycle(known)))
-        shelf.pieces = {name: slept(piece, shelf.out / name, faster) for name, piece in islice(named, objects)}
+        shelf.pieces = {name: slept(piece, shelf.out / name, faster if ray else 1.0) for name, piece in islice(named, objects)}
         alone = [sum(step.seconds for step in piece.steps if isinstance(step, Slept)) for piece in shelf.pieces.values()]
-        began = time.monotonic()
-        run(shelf, partial(on_ray.run_all, address=address, shared=[shelf.out]))
-        return faster * (time.monotonic() - began), faster * max(sum(alone) / workers, max(alone))
+        best = max(sum(alone) / workers, max(alone))
+        if not ray:
+            clock: list[float] = []
+            run(shelf, lambda batches: counted(batches, workers, clock))
+            return clock[-1], best
+        with cluster(workers) as address:
+            began = time.monotonic()
+            run(shelf, partial(on_ray.run_all, address=address, shared=[shelf.out]))
+            return faster * (time.monotonic() - began), faster * best
 
 
 def main(
@@ -89,13 +126,14 @@ def main(
     out: Annotated[Path, typer.Argument(help="Folder of the series that has run.")],
     objects: Annotated[int, typer.Option(help="Objects, those of the series again and again.")] = 48,
     workers: Annotated[list[int] | None, typer.Option(help="Numbers of workers.")] = None,
-    faster: Annotated[float, typer.Option(help="Factor by which steps are shorter than they were.")] = 20.0,
+    ray: Annotated[bool, typer.Option("--ray", help="Sleep on a cluster that Ray simulates.")] = False,
+    faster: Annotated[float, typer.Option(help="With --ray, factor by which steps are shorter than they were.")] = 4.0,
 ) -> None:
     """Print a line for each number of workers."""
     typer.echo("workers  hours of the series  best  share of the best")
     for count in workers or [1, 2, 4, 8]:
-        taken, best = measured(file, out, objects, count, faster)
-        typer.echo(f"{count:7}  {taken / 3600:19.3f}  {best / 3600:4.2f}  {best / taken:17.0%}")
+        taken, best = measured(file, out, objects, count, faster=faster, ray=ray)
+        typer.echo(f"{count:7}  {taken / 3600:19.3f}  {best / 3600:.3f}  {best / taken:17.0%}")
 
 
 if __name__ == "__main__":
