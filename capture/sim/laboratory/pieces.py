@@ -80,7 +80,8 @@ def _halved(mesh: trimesh.Trimesh, halved: NDArray[np.bool_], longest: NDArray[n
     new = np.cumsum(halved) - 1 + len(mesh.vertices)
     middles = mesh.vertices[mesh.edges_unique[halved]].mean(1)
     split = halved[longest]
-    corners = np.array([np.roll(face, -first) for face, first in zip(mesh.faces, _first(mesh, longest), strict=True)])[split]
+    first = np.argmax(mesh.faces_unique_edges == longest[:, None], axis=1)  # corner at which a face's longest edge begins
+    corners = np.take_along_axis(np.asarray(mesh.faces), (first[:, None] + np.arange(3)) % 3, axis=1)[split]
     middle = new[longest[split]]
     parts = [
         mesh.faces[~split],
@@ -88,8 +89,3 @@ def _halved(mesh: trimesh.Trimesh, halved: NDArray[np.bool_], longest: NDArray[n
         np.stack([middle, corners[:, 1], corners[:, 2]], -1),
     ]
     return trimesh.Trimesh(np.concatenate([mesh.vertices, middles]), np.concatenate(parts), process=False)
-
-
-def _first(mesh: trimesh.Trimesh, longest: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Which corner of each face its longest edge begins at."""
-    return np.argmax(mesh.faces_unique_edges == longest[:, None], axis=1)
