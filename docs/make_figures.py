@@ -102,7 +102,7 @@ def pages(demo: Path, out: Path, only: tuple[str, ...] = ()) -> None:
         "view_trajectory": Shot("capture", ["view", trajectory], 0.05),
         "view_calibration": Shot("calib", ["view", str(demo / "calibration.json"), "--recording", str(demo / "board")], 0.02),
         "view_scene": Shot("datasets", ["view", str(demo / "scene"), "--quick"], 0.05),
-        "view_run": Shot("reconstruct", ["view", run], 0.6, switched=("cameras",)),
+        "view_run": Shot("reconstruct", ["view", run], 0.05, switched=("cameras",)),
         "mesh": Shot(
             "reconstruct", ["view", run, "--mesh", str(demo / "mesh.ply")], 0.05, channel="nothing", switched=("cameras",)
         ),
