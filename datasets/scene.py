@@ -30,8 +30,7 @@ LONGEST_NAME = 200
 MASKS_FROM, PICTURES = "masks_from", "pictures"
 """Part of the provenance of a scene that `datasets mask` has written, and its value if the masks were found in the pictures."""
 TURNED = "turned"
-"""Part of the provenance of a scene of two sessions of an object that was turned over: the motion, its deviation, and the names
-of the `views` of the second session."""
+"""Part of the provenance of a scene of two sessions: the object's motion, its deviation, and the second session's `views`."""
 STATED = "stated"
 """`Scene.bounds_from` where the source says where the object is."""
 SAME_SHAPE = 0.02
@@ -328,6 +327,11 @@ class Scene:
     def box_is_stated(self) -> bool:
         """True where the source states the object's box; elsewhere it is estimated from images or cameras."""
         return self.bounds_from.removeprefix("box ").startswith(STATED)
+
+    @property
+    def masks_were_found(self) -> bool:
+        """Whether `datasets mask` found masks of this scene, or of one that it was merged from, in the pictures."""
+        return any(source.get(MASKS_FROM) == PICTURES for source in self.provenance.get("merged", [self.provenance]))
 
     def split(self, name: str) -> tuple[View, ...]:
         """Views of one split. Raises UsageError where there are none."""

@@ -21,7 +21,7 @@ def list_command(as_json: console.Json = False) -> None:
     for kind, entries in found.items():
         lines += [f"{kind}:", *(f"  {name:{width}}  {description}" for name, description in entries.items())]
     folder = str(Path(configs.__file__).parent)
-    lines.append(f"an object behind whose name is {' or '.join(f'-{piece}' for piece in PIECES)} is not as drawn")
+    lines.append(f"objects that are not as drawn: {', '.join(f'NAME-{piece}' for piece in PIECES)}")
     console.report({**found, "folder": folder}, as_json=as_json, text="\n".join([*lines, f"files: {folder}"]))
 
 

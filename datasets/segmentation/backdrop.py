@@ -175,9 +175,9 @@ def _agreed(colours: Picture, free: Flags, tolerance: float, share: float) -> tu
 
 
 def _like_others(colour: Picture, known: Flags, under: Flags) -> Flags:
-    """(n,) which (n, 3) colours are known, less those under the box that have no place's hue around it.
+    """(n,) which (n, 3) colours are known, less those under the box whose hue no place around it has.
 
-    On those the views agree, but they are of a flat part of the object, next to the plane."""
+    Views agree on those too, but they show a flat part of the object that lies on the plane."""
     around = known & ~under
     if around.sum() < LEAST_OTHERS:
         return known

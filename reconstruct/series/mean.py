@@ -54,14 +54,14 @@ def kinds(pieces: Mapping[str, Piece]) -> list[Kind]:
     found = []
     for surface, compared in groups.items():
         reference = next((name for name in pieces if pieces[name].place / MESH == surface), None)
-        found.append(Kind(reference or surface.stem, surface, reference, compared))
+        name = reference or f"{surface.stem}_of_{next(iter(compared))}"  # many drawings may be called alike
+        found.append(Kind(name, surface, reference, compared))
     return [kind for kind in found if len(kind.pieces) >= FEWEST]
 
 
 def write(kind: Kind, out: Path) -> None:
     """Write the mean of some pieces, unless it is there."""
-    about = out / kind.about
-    if about.is_file() and files.read_json(about, kind=FORMAT, version=VERSION)["pieces"] == kind.pieces:
+    if read(kind, out):
         return
     from koala3d.reconstruct.output.mesh import files as mesh_files
     from koala3d.reconstruct.output.shape import stated
@@ -70,14 +70,17 @@ def write(kind: Kind, out: Path) -> None:
     surface = stated.finer(stated.read(kind.surface)).mesh
     away = {name: _deviation(folder, np.asarray(surface.vertices)) for name, folder in kind.compared.items()}
     known = np.all([there for _, there in away.values()], axis=0)
-    deviations = [distance for distance, _ in away.values()] + [np.zeros(len(known))] * (kind.reference is not None)
-    mean, spread = np.where(known, np.mean(deviations, 0), 0), np.where(known, np.std(deviations, 0), 0)
-    areas = np.where(known, vertex_areas(surface), 0)
-    of = {**{name: distance for name, (distance, _) in away.items()}, **({kind.reference: 0 * mean} if kind.reference else {})}
-    rms = {name: float(np.sqrt(np.sum(areas * (one - mean) ** 2) / max(areas.sum(), 1e-30))) for name, one in of.items()}
+    deviations = {name: distance for name, (distance, _) in away.items()}
+    if kind.reference is not None:
+        deviations[kind.reference] = np.zeros(len(known))
+    together = np.where(known, np.stack(list(deviations.values())), 0)
+    mean, spread, areas = together.mean(0), together.std(0), np.where(known, vertex_areas(surface), 0)
+    share = areas / max(areas.sum(), 1e-30)
+    rms = {name: float(np.sqrt(share @ (one - mean) ** 2)) for name, one in zip(deviations, together, strict=True)}
     surface.vertices = surface.vertices + mean[:, None] * np.asarray(surface.vertex_normals)
     properties = {"mean": mean, "spread": spread, "known": known}
     surface.vertex_attributes.update({key: np.asarray(values, np.float32) for key, values in properties.items()})
+    about = out / kind.about
     files.make_folder(about.parent)
     mesh_files.save(surface, about.with_suffix(".ply"))
     content: dict[str, Any] = {"pieces": kind.pieces, "from_mean_rms_m": rms, "known_share": float(np.mean(known))}
@@ -85,9 +88,11 @@ def write(kind: Kind, out: Path) -> None:
 
 
 def read(kind: Kind, out: Path) -> dict[str, float]:
-    """How far each piece is from the mean (RMS) [m], by its name; empty before `write`."""
-    about = out / kind.about
-    return files.read_json(about, kind=FORMAT, version=VERSION)["from_mean_rms_m"] if about.is_file() else {}
+    """How far each piece is from the mean (RMS) [m], by its name; empty where the mean is not there, or is of other pieces."""
+    if not (out / kind.about).is_file():
+        return {}
+    found = files.read_json(out / kind.about, kind=FORMAT, version=VERSION)
+    return found["from_mean_rms_m"] if found["pieces"] == kind.pieces else {}
 
 
 def _deviation(folder: Path, places: Float[np.ndarray, "v 3"]) -> tuple[Float[np.ndarray, " v"], Any]:

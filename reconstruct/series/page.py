@@ -94,7 +94,7 @@ def _deviations(page: ReportPage, rows: Sequence[Row], columns: Mapping[str, str
     lines = [(row.name, row.compared_with, *(number(row, key) for key in shown)) for row in rows]
     page.table(("object", "compared with", *shown.values()), lines)
     if any(row.places for row in rows):
-        page.heading("Places that deviate significantly, the largest first")
+        page.heading("Where they deviate most")
         page.items(f"{row.name}: {'; '.join(said(place) for place in row.places)}" for row in rows if row.places)
 
 

@@ -16,6 +16,11 @@ EDGE = 0.0012
 LARGER = 1.003
 
 
+def bounds(meshes: Sequence[trimesh.Trimesh]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(3,) lowest and (3,) highest coordinates of several meshes."""
+    return np.min([mesh.bounds[0] for mesh in meshes], axis=0), np.max([mesh.bounds[1] for mesh in meshes], axis=0)
+
+
 def dented(meshes: Sequence[trimesh.Trimesh]) -> list[trimesh.Trimesh]:
     """The object with a round dent in the side that looks along y."""
     place, outward = _side(meshes)
@@ -24,7 +29,7 @@ def dented(meshes: Sequence[trimesh.Trimesh]) -> list[trimesh.Trimesh]:
 
 def enlarged(meshes: Sequence[trimesh.Trimesh]) -> list[trimesh.Trimesh]:
     """The object `LARGER` times as large, about the place where it stands."""
-    lower, upper = np.min([mesh.bounds[0] for mesh in meshes], axis=0), np.max([mesh.bounds[1] for mesh in meshes], axis=0)
+    lower, upper = bounds(meshes)
     motion = trimesh.transformations.scale_matrix(LARGER, [*(lower + upper)[:2] / 2, lower[2]])
     return [mesh.copy().apply_transform(motion) for mesh in meshes]
 
@@ -34,7 +39,7 @@ PIECES: dict[str, Callable[[Sequence[trimesh.Trimesh]], list[trimesh.Trimesh]]] 
 
 def _side(meshes: Sequence[trimesh.Trimesh]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """(3,) place of the dent, and (3,) outward normal there."""
-    lower, upper = np.min([mesh.bounds[0] for mesh in meshes], axis=0), np.max([mesh.bounds[1] for mesh in meshes], axis=0)
+    lower, upper = bounds(meshes)
     middle = (lower + upper) / 2
     origin = np.array([middle[0], upper[1] + 1.0, lower[2] + HEIGHT * (upper - lower)[2]])
     found = []

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from koala3d.capture.drivers.errors import SimulationError
 from koala3d.capture.sim.laboratory import objects, textures
 from koala3d.capture.sim.laboratory.materials import Glass, Material, Matt, Metal
-from koala3d.capture.sim.laboratory.pieces import PIECES
+from koala3d.capture.sim.laboratory.pieces import PIECES, bounds
 from koala3d.datasets.core.errors import UsageError, nearest
 from koala3d.datasets.recording import UPRIGHT
 
@@ -79,7 +79,7 @@ def stage(name: str, *, centre: ArrayLike, size: ArrayLike, seed: int, pose: str
     """The stage of a scene. The object stands in the middle of the bottom of the object volume, or lies as in another pose.
 
     Args:
-        name: a scene other than "board"; behind a dash, one of `PIECES`, as in "gold_head-dented".
+        name: a scene other than "board", with one of `PIECES` after a dash or without: "gold_head-dented".
         centre: (3,) centre of the object volume in the frame of the table [m].
         size: (3,) its edges [m].
         seed: of the textures.
@@ -120,8 +120,7 @@ def _parts(name: str, rng: np.random.Generator) -> list[objects.Part]:
 
 def _place(meshes: list[trimesh.Trimesh], centre: NDArray[np.float64], size: NDArray[np.float64]) -> None:
     """Move the object to the middle of the bottom of the volume; scale it down if the volume is too small."""
-    lower = np.min([mesh.bounds[0] for mesh in meshes], axis=0)
-    upper = np.max([mesh.bounds[1] for mesh in meshes], axis=0)
+    lower, upper = bounds(meshes)
     scale = min(1.0, float(np.min(size / (upper - lower))))
     middle, floor = (lower + upper) / 2, centre[2] - size[2] / 2
     for mesh in meshes:
@@ -140,7 +139,7 @@ def turned_over(meshes: list[trimesh.Trimesh], centre: NDArray[np.float64], rng:
     motion = trimesh.transformations.rotation_matrix(angle, axis, centre)
     for mesh in meshes:
         mesh.apply_transform(motion)
-    lower, upper = np.min([mesh.bounds[0] for mesh in meshes], axis=0), np.max([mesh.bounds[1] for mesh in meshes], axis=0)
+    lower, upper = bounds(meshes)
     shift = [*(centre[:2] - (lower + upper)[:2] / 2 + rng.uniform(-0.02, 0.02, 2)), -lower[2]]
     for mesh in meshes:
         mesh.apply_translation(shift)

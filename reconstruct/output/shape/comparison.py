@@ -116,8 +116,8 @@ def compare(
 def _std(first: Stated, second: Stated, target: Nearest, feet: Any, aligned: Aligned) -> Float[np.ndarray, " v"] | None:
     """Standard deviation of the difference at each vertex: of both surfaces, independent of each other.
 
-    What is common to a whole surface, its place, counts only where it was left as it stands. Where outlines are counts only
-    against a surface that was not made alike, a drawing: two runs have it in common.
+    What is common to a whole surface, its place, counts only where it was left as it stands. The error of outlines
+    counts only against a drawing: two runs have it in common.
     """
     variance = [one.deviation**2 for one in (first,) if one.deviation is not None]
     if second.deviation is not None:

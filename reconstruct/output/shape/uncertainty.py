@@ -7,7 +7,7 @@ Errors of single places are taken to be normal along the surface's normal, with 
 of `Evidence`: what pictures resolve, and the more of them the better; how far the density's normals and the predicted ones
 disagree; and what outlines leave open behind them, where nothing but colours and reflections say how deep the surface is. The
 three numbers are fitted to rendered scenes whose true shape is known (`python -m tests.bench.shape_coverage`, docs/shape.md).
-What moves the whole object is in `common`, and where all outlines are in `outline`.
+What moves the whole object is in `common`, and the error that all outlines share in `outline`.
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from koala3d.datasets.core import files
-from koala3d.datasets.scene import MASKS_FROM, PICTURES
 from koala3d.reconstruct.output.shape import common, evidence
 from koala3d.reconstruct.output.shape.evidence import Evidence
 from koala3d.reconstruct.output.shape.places import vertex_areas
@@ -72,7 +71,7 @@ class Uncertain:
     common: Float[np.ndarray, " v"]
     """Standard deviation by what moves the whole object; 0 where the scene states no calibration."""
     outline: Float[np.ndarray, " v"]
-    """Standard deviation by where all outlines are, see `OUTLINE`; 0 where masks were not found in the pictures."""
+    """Standard deviation that all outlines share, see `OUTLINE`; 0 where masks were not found in the pictures."""
     scale_std: float | None
     place_std: float | None
     metric: bool
@@ -110,7 +109,7 @@ def of(trained: TrainedModel, mesh: "trimesh.Trimesh") -> Uncertain:
         known,
         vertex_areas(mesh),
         np.zeros(len(points)) if whole is None else whole.along(points, np.asarray(mesh.vertex_normals)),
-        found.pixel * (OUTLINE if trained.scene.provenance.get(MASKS_FROM) == PICTURES else 0.0),
+        found.pixel * (OUTLINE if trained.scene.masks_were_found else 0.0),
         None if whole is None else whole.scale_std,
         None if whole is None else whole.place_std,
         trained.scene.metric,

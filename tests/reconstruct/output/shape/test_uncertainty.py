@@ -116,6 +116,8 @@ def test_outlines_that_were_found_are_uncertain(ball: TrainedModel) -> None:
     certain, exact = uncertainty.of(replace(ball, scene=scene), ball_mesh()), uncertainty.of(ball, ball_mesh())
     pixel = evidence.of(ball, ball_mesh()).pixel
     assert certain.outline == pytest.approx(uncertainty.OUTLINE * pixel) and (exact.outline == 0).all()
+    merged = replace(ball.scene, provenance={"merged": [{}, {MASKS_FROM: PICTURES}]})
+    assert uncertainty.of(replace(ball, scene=merged), ball_mesh()).outline == pytest.approx(certain.outline)
     expected = [one.summary()["expected_error"]["value"] for one in (certain, exact)]
     assert expected[0] > expected[1]
 
