@@ -17,6 +17,7 @@ from koala3d.reconstruct.field.encodings.encoding import Encoding
 from koala3d.reconstruct.field.lit import Lit
 from koala3d.reconstruct.field.mlp import Mlp
 from koala3d.reconstruct.field.outline import Outline
+from koala3d.reconstruct.numerics.compiling import barrier
 from koala3d.reconstruct.numerics.safe import normalise, safe_exp
 
 
@@ -84,7 +85,7 @@ class Field(eqx.Module):
         slope = cloud.gradient(sensitivity, jacobian)
         if self.outline is not None:
             slope = self.outline.slope(slope, cloud.centres())
-        return *self._heads(raw, cloud), -normalise(slope, axis=0)
+        return *self._heads(raw, cloud), -normalise(barrier(slope), axis=0)
 
     def held_but_for_heads(self) -> "Field":
         """The same, of which only the last layer of the spatial network is learned: a loss of materials then moves no density."""

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Float16
 
+from koala3d.reconstruct.numerics.compiling import barrier
 from koala3d.reconstruct.numerics.volume import SURFACE
 
 GRID = 64
@@ -47,7 +48,7 @@ class Outline(eqx.Module):
         """Logarithm of the density [1 / scene unit] at points of the scene."""
         begun = BORDER - self._at(points) / WIDTH
         bounded = jnp.clip(begun, OUTSIDE, INSIDE)
-        return self.gain * raw + bounded + LEAK * (begun - bounded)
+        return self.gain * raw + barrier(bounded + LEAK * (begun - bounded))
 
     def slope(self, slope: Float[Array, "3 n"], points: Float[Array, "3 n"]) -> Float[Array, "3 n"]:
         """Gradient of `log_density` from that of the raw density, the distance's over a cell to either side [1 / scene unit]."""
@@ -55,7 +56,7 @@ class Outline(eqx.Module):
         factor = jnp.where((begun > OUTSIDE) & (begun < INSIDE), 1.0, LEAK) / WIDTH
         ends = points[:, None] + np.array([1, -1])[:, None, None, None] * (CELL * np.eye(3)[:, :, None])  # (2, 3, 3, n)
         ahead, behind = self._at(jnp.moveaxis(ends, 1, 0).reshape(3, -1)).reshape(2, 3, -1)
-        return self.gain * slope - factor * (ahead - behind) / (2 * CELL)
+        return self.gain * slope - barrier(factor * (ahead - behind) / (2 * CELL))
 
     def _at(self, points: Float[Array, "3 n"]) -> Float[Array, " n"]:
         """The distance, trilinear between the grid's points; no gradient goes to the points."""
