@@ -52,7 +52,7 @@ def view(
     """Explore a run in the browser, during training or afterwards, or see how far a series is."""
     from koala3d.datasets.core.errors import UsageError
     from koala3d.datasets.page import open_page
-    from koala3d.reconstruct.backend import cache_compilations
+    from koala3d.reconstruct.backend import configure_process
     from koala3d.reconstruct.run import RUN, Run
     from koala3d.reconstruct.series.table import TABLE
 
@@ -63,7 +63,7 @@ def view(
         raise UsageError("an asset is shown beside the model of a run, and this is a scene", where=path, remedy="give the run")
     if (path / TABLE).is_file():
         return _series(path, port, as_json)
-    cache_compilations()
+    configure_process()
     with open_page(path.name, port) as page:
         if (path / RUN).is_file():
             from koala3d.reconstruct.page.run_page import show

@@ -63,7 +63,7 @@ def train(
 ) -> None:
     """Train a model on the training views of a scene."""
     from koala3d.datasets.reports import rerun_file
-    from koala3d.reconstruct.backend import cache_compilations
+    from koala3d.reconstruct.backend import configure_process
     from koala3d.reconstruct.page import rerun_training
     from koala3d.reconstruct.run import RUN
     from koala3d.reconstruct.training import distributed
@@ -79,7 +79,7 @@ def train(
     distributed.join(coordinator, processes, process)
     config, where, loaded, start_from = _inputs(scene, from_, model, preset, set_, resume and (out / RUN).is_file())
     config = config if rays is None else scaled(config, rays)
-    cache_compilations()
+    configure_process()
     series = start_from is not None and not finetune
     with rerun_training.watcher(rerun if distributed.writes() else None, loaded) as watch:
         options = {"budget_s": budget, "resume": resume, "start_from": start_from, "series": series, "watch": watch}

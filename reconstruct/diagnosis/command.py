@@ -17,14 +17,14 @@ def diagnose(
 ) -> None:
     """Name the causes of a bad result: what, where, evidence, remedy."""
     from koala3d.datasets.core.files import refuse_existing
-    from koala3d.reconstruct.backend import cache_compilations
+    from koala3d.reconstruct.backend import configure_process
     from koala3d.reconstruct.diagnosis.diagnose import diagnose as find
     from koala3d.reconstruct.diagnosis.diagnose import write
     from koala3d.reconstruct.output.trained_model import TrainedModel
 
     if out is not None:
         refuse_existing(out)
-    cache_compilations()
+    configure_process()
     trained = TrainedModel.open(run)
     found = find(trained, pictures=not quick)
     page = None if out is None else write(found, trained, out, made_by=console.command_line())

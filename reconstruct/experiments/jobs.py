@@ -13,7 +13,7 @@ from koala3d.datasets.core.console import hint
 from koala3d.datasets.core.errors import KoalaError
 from koala3d.datasets.formats import find, load_scene
 from koala3d.reconstruct import checkpoint
-from koala3d.reconstruct.backend import cache_compilations
+from koala3d.reconstruct.backend import configure_process
 from koala3d.reconstruct.config import Config
 from koala3d.reconstruct.experiments import machine
 from koala3d.reconstruct.experiments.results import Result
@@ -93,7 +93,7 @@ class Job:
         """Run unless there is a result; the error, or "". An error of one job does not concern the others."""
         try:
             if not self.done:
-                cache_compilations()
+                configure_process()
                 self.run()
         except (KoalaError, OSError) as error:
             return str(error)

@@ -197,8 +197,8 @@ def report(
 
 def opened(run: Path) -> "TrainedModel":
     """A run's trained model; compiled programs are cached on disk."""
-    from koala3d.reconstruct.backend import cache_compilations
+    from koala3d.reconstruct.backend import configure_process
     from koala3d.reconstruct.output.trained_model import TrainedModel
 
-    cache_compilations()
+    configure_process()
     return TrainedModel.open(run)

@@ -18,13 +18,13 @@ def scenes(
 ) -> None:
     """Render scenes whose shape and light are known exactly: five under distant light, five under near lamps."""
     from koala3d.datasets.core.errors import UsageError, nearest
-    from koala3d.reconstruct.backend import cache_compilations
+    from koala3d.reconstruct.backend import configure_process
     from koala3d.reconstruct.rendered import make, stages
 
     for name in names or ():
         if name not in stages.STAGES:
             raise UsageError(f"there is no scene '{name}'", where="--scene", remedy=nearest(name, stages.STAGES))
-    cache_compilations()
+    configure_process()
     chosen, written = names or list(stages.BENCHMARK), []
     with console.progress("rendering", len(chosen) * (train + test), "views") as bar:
         for name in chosen:

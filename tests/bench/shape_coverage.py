@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from koala3d.datasets.core.errors import UsageError
 from koala3d.datasets.formats import find
-from koala3d.reconstruct.backend import cache_compilations
+from koala3d.reconstruct.backend import configure_process
 from koala3d.reconstruct.output.evaluate import TRUE_SURFACE
 from koala3d.reconstruct.output.mesh import extraction, reading
 from koala3d.reconstruct.output.mesh.nearest import Nearest
@@ -125,7 +125,7 @@ def main(
     """Print the coverage of each run by numbers from the others."""
     if len(runs) < 2:
         raise typer.BadParameter("at least two runs")
-    cache_compilations()
+    configure_process()
     print(table([measured(run, resolution) for run in runs]))
 
 

@@ -18,7 +18,7 @@ def command(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> Callable[..., tuple[int, str, str]]:
     """Run the command inside this process; returns exit code, output and errors."""
-    monkeypatch.setattr("koala3d.reconstruct.backend.cache_compilations", lambda: None)
+    monkeypatch.setattr("koala3d.reconstruct.backend.configure_process", lambda: None)
 
     def run(*arguments: object) -> tuple[int, str, str]:
         monkeypatch.setattr(sys, "argv", ["reconstruct", *map(str, arguments)])

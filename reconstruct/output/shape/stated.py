@@ -92,14 +92,14 @@ def finer(surface: Stated) -> Stated:
 
 
 def _of_run(path: Path, stands_on: str | None) -> Stated:
-    from koala3d.reconstruct.backend import cache_compilations
+    from koala3d.reconstruct.backend import configure_process
     from koala3d.reconstruct.output.mesh import extraction
     from koala3d.reconstruct.output.shape import uncertainty
     from koala3d.reconstruct.output.trained_model import TrainedModel
 
     if not (path / RUN).is_file():
         raise UsageError("is neither a mesh nor a run", where=path, remedy=f"give a run, or one of {', '.join(reading.READABLE)}")
-    cache_compilations()
+    configure_process()
     trained = TrainedModel.open(path)
     if not trained.scene.metric:
         why, remedy = "its scene has no unit of length", "scale the scene first: datasets edit --help"

@@ -41,7 +41,7 @@ def run(make_run: Callable[..., Run], config: Config) -> Path:
 @pytest.fixture
 def command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str]]:
     """Run the command inside this process; returns exit code, output and errors."""
-    monkeypatch.setattr("koala3d.reconstruct.backend.cache_compilations", lambda: None)
+    monkeypatch.setattr("koala3d.reconstruct.backend.configure_process", lambda: None)
 
     def call(*words: object) -> tuple[int, str, str]:
         monkeypatch.setattr(sys, "argv", ["reconstruct", "asset", *map(str, words)])
