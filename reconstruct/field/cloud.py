@@ -37,6 +37,11 @@ class Cloud(eqx.Module):
         pick = lambda v: v.reshape(*v.shape[:-1], -1, self.group)[..., chosen, :].reshape(*v.shape[:-1], -1)  # noqa: E731
         return replace(self, points=pick(self.points), scale=None if self.scale is None else pick(self.scale))
 
+    def joined(self, other: "Cloud") -> "Cloud":
+        """These places, then others of the same kind."""
+        scale = None if self.scale is None or other.scale is None else jnp.concatenate([self.scale, other.scale], -1)
+        return replace(self, points=jnp.concatenate([self.points, other.points], -1), scale=scale)
+
     def encoded(self, encoding: Encoding) -> Float[Array, "channels n"]:
         """Features of each place."""
         points, scale = barrier(self.mapped())

@@ -5,6 +5,8 @@
 Points, directions and channels come first: (3, n), (channels, n).
 """
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 from jaxtyping import Array, Float, PRNGKeyArray
@@ -75,17 +77,27 @@ class Field(eqx.Module):
         """Density [1 / scene unit] and material."""
         return self._heads(self.spatial(cloud.encoded(self.encoding)), cloud)
 
-    def with_normals(self, cloud: Cloud) -> tuple[Float[Array, " n"], Material, Float[Array, "3 n"]]:
+    def with_normals(
+        self, cloud: Cloud, shown: int | None = None
+    ) -> tuple[Float[Array, " n"], Material, Float[Array, "3 n"]]:
         """Density, material and unit normals: minus the direction of the density's gradient, analytically.
 
         exp is monotonic, so the gradient of the density's logarithm has the same direction and never overflows.
+
+        Args:
+            shown: the first so many places have a material; None: all.
         """
         features, jacobian = cloud.encoded_with_jacobian(self.encoding)
         raw, sensitivity = self.spatial.with_sensitivity(features)
         slope = cloud.gradient(sensitivity, jacobian)
         if self.outline is not None:
             slope = self.outline.slope(slope, cloud.centres())
-        return *self._heads(raw, cloud), -normalise(barrier(slope), axis=0)
+        material = self.appearance.material(raw[1:, :shown], cloud.centres()[:, :shown])
+        return self._activated(raw[0], cloud), material, -normalise(barrier(slope), axis=0)
+
+    def adding_to(self, gradient: "Field") -> "Field":
+        """The same, whose encoding's gradient is added to that of `gradient`; see `Encoding.adding_to`."""
+        return replace(self, encoding=self.encoding.adding_to(gradient.encoding))
 
     def held_but_for_heads(self) -> "Field":
         """The same, of which only the last layer of the spatial network is learned: a loss of materials then moves no density."""

@@ -4,6 +4,7 @@ Rows and weights are found anew on the way back: the search takes a quarter of t
 a kilobyte per point to be written and read.
 """
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -24,16 +25,18 @@ def encode(
     sizes: Int[np.ndarray, "2 levels"],
     *,
     with_slopes: bool,
+    onto: Float[Array, "features rows"] | None = None,
 ) -> tuple[Float[Array, "channels n"], Float[Array, "channels 3 n"] | None]:
     """Features of points and, with slopes, their derivatives; differentiable to the table, everything else is data.
 
     Args:
+        onto: as of `HashedGrid`.
         share: how much each level weighs, for every point or for all.
         units: lattice units per unit of the points.
         sizes: logarithm of each level's rows, to base 2, and its first row.
     """
     place = (points, jnp.asarray(share), np.asarray(units, np.float32), np.asarray(sizes, np.int32))
-    values = _encode(table, place, with_slopes)
+    values = _encode(table, place, onto, with_slopes)
     channels, count = table.shape[0] * len(units), points.shape[1]
     flat = values[0].reshape(channels, count)
     return flat, values[1].reshape(channels, 3, count) if with_slopes else None
@@ -49,23 +52,23 @@ def _call_encode(table: Array, place: tuple[Any, ...], with_slopes: bool) -> tup
     return native.call("encode", shapes, *place, table)
 
 
-_encode = jax.custom_vjp(_call_encode, nondiff_argnums=(2,))
+@partial(jax.custom_vjp, nondiff_argnums=(3,))
+def _encode(table: Array, place: tuple[Any, ...], onto: Array | None, with_slopes: bool) -> tuple[Array, ...]:
+    return _call_encode(table, place, with_slopes)
 
 
-def _forward(table: Array, place: tuple[Any, ...], with_slopes: bool) -> tuple[tuple[Array, ...], Any]:
-    return _call_encode(table, place, with_slopes), (place, table.shape)
+def _forward(table: Array, place: tuple[Any, ...], onto: Array | None, with_slopes: bool) -> tuple[tuple[Array, ...], Any]:
+    return _call_encode(table, place, with_slopes), (place, onto, table.shape)
 
 
-def _backward(with_slopes: bool, saved: Any, cotangents: tuple[Array, ...]) -> tuple[Array, Any]:
-    place, shape = saved
-    (gradient,) = native.call("scatter", [native.float32(*shape)], *place, *cotangents)
-    points, share, units, sizes = place
-    return gradient, (
-        jnp.zeros_like(points),
-        jnp.zeros_like(share),
-        np.zeros_like(units),
-        np.zeros(sizes.shape, jax.dtypes.float0),
-    )
+def _backward(with_slopes: bool, saved: Any, cotangents: tuple[Array, ...]) -> tuple[Array, None, None]:
+    place, onto, shape = saved
+    arguments = (*place, *cotangents)
+    if onto is None:
+        (gradient,) = native.call("scatter", [native.float32(*shape)], *arguments)
+    else:
+        (gradient,) = native.call("scatter_onto", [native.float32(*shape)], *arguments, onto, in_place={len(arguments): 0})
+    return gradient, None, None
 
 
 _encode.defvjp(_forward, _backward)

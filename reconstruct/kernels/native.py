@@ -24,7 +24,7 @@ from koala3d.reconstruct.backend import cache_folder
 SWITCH = "KOALA_KERNELS"
 KERNELS = {
     "frame": ("probe",),
-    "lattice": ("encode", "scatter"),
+    "lattice": ("encode", "scatter", "scatter_onto"),
     "descent": ("descend",),
     "sample": ("sample",),
     "pack": ("pack",),

@@ -39,15 +39,17 @@ class SecondPass:
             bias: factor on the Lambertian bias of the object, in [0, 1]; what is around it is mostly matte, and has it whole.
         """
         surface, wanted = surfaces.first, self.surface
-        directions, radii = ball_samples(key, surface.ray.shape[0], wanted)
-        _, material, normal = field.with_normals(self.place.of(rays, surface))
+        count, reach = surface.ray.shape[0], wanted.reach * surface.radius
+        directions, radii = ball_samples(key, count, wanted)
+        cloud = self.place.of(rays, surface)
+        if wanted.density or wanted.normal:
+            cloud = cloud.joined(self.place.of(rays, surface, directions * (radii[:, None] * reach[:, None, None])))
+        density, material, normals = field.with_normals(cloud, shown=count)
+        normal = normals[:, :count]
         published_bias = wanted.bias and wanted.bias_form == "published" and field.appearance.has_diffuse
         per_point: PerPoint = {}
         if wanted.density or wanted.normal:
-            reach = wanted.reach * surface.radius
-            offsets = directions * (radii[:, None] * reach[:, None, None])
-            density, _, normals = field.with_normals(self.place.of(rays, surface, offsets))
-            per_point |= self._around(density, normals, directions, normal, reach)
+            per_point |= self._around(density[count:], normals[:, count:], directions, normal, reach)
         if wanted.variation or published_bias:
             light, places = Lit.on(rays, surface.t, surface.ray), places_on(rays, surface.t, surface.ray)
             per_point |= self._over_directions(field, material, directions, normal, light, places)

@@ -59,7 +59,7 @@ class Objective:
     def __call__(
         self, model: Model, batch: Batch, sample_key: PRNGKeyArray, background_key: PRNGKeyArray, progress: Float[Array, ""]
     ) -> tuple[Float[Array, ""], tuple[Terms, Float[Array, " n"], Surfaces]]:
-        """The sum of all losses; each of them, the density of every sample, and first surfaces."""
+        """The sum of the losses of rays; each of them, the density of every sample, and first surfaces."""
         rays, terms = batch.rays, {}
         moving = followed(rays, model.twists)  # poses follow the picture; where else the field is looked at is data
         found = model.sampler.sampled(batch, sample_key)
@@ -75,9 +75,15 @@ class Objective:
         terms |= photometric(rendered, batch.colour, background, batch.used, model.per_image is not None)
         terms |= self.ray_terms(model, rendered, density, found, progress)
         surfaces = self.surfaces(rendered, found.samples, rays, progress, model.sampler.bounds.half_box)
+        return total(terms), (terms, jax.lax.stop_gradient(density), surfaces)
+
+    def at_surfaces(
+        self, field: Field, rays: Rays, surfaces: Surfaces, progress: Float[Array, ""]
+    ) -> tuple[Float[Array, ""], Terms]:
+        """The sum of the losses at first surfaces, and each of them."""
         follow = self.schedule.density_normals(progress)
-        terms |= surface_point_terms(model.field, rays, surfaces.first, self.weights, self.place, follow)
-        return total(terms), (terms, jax.lax.stop_gradient(density), surfaces.of_rays(self.second_rays))
+        terms = surface_point_terms(field, rays, surfaces.first, self.weights, self.place, follow)
+        return total(terms), terms
 
     def surfaces(
         self,

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from numpy.typing import NDArray
 
 from koala3d.reconstruct.config import Config
+from koala3d.reconstruct.field.field import Field
 from koala3d.reconstruct.numerics.compiling import barrier, compiler_options
 from koala3d.reconstruct.rendering.model import Model
 from koala3d.reconstruct.sampling.create import sampler_type
@@ -133,7 +134,10 @@ class Step:
             eqx.combine(learned, held), batch, keys["samples"], keys["background"], progress
         )
         (_, (terms, density, surfaces)), gradient = barrier(jax.value_and_grad(loss, has_aux=True)(learned))
-        return Part(gradient, terms, model.sampler.met(batch, density), batch.rays, surfaces)
+        at_surfaces = lambda field: self.objective.at_surfaces(field, batch.rays, surfaces, progress)  # noqa: E731
+        gradient, more = _added(at_surfaces, model, gradient)
+        surfaces = surfaces.of_rays(self.objective.second_rays)
+        return Part(gradient, terms | more, model.sampler.met(batch, density), batch.rays, surfaces)
 
     def regularised(
         self,
@@ -145,19 +149,16 @@ class Step:
         index: int | Int[Array, ""] = 0,
     ) -> Part:
         """The same batch with the gradient and the terms of the regularisers' second pass."""
-        learned, held = self._blurred(model, progress).split()
-        surfaces, key = self.division.spread_evenly(part.surfaces), self._keys(step, seed, index)["sphere"]
-        bias = self.schedule.bias(progress).astype(jnp.float32)
-        (_, terms), more = _with_second_pass(self._weighted, learned, held, part.rays, surfaces, key, bias)
-        return replace(part, gradient=jax.tree.map(jnp.add, part.gradient, more), terms=part.terms | terms)
-
-    def _weighted(
-        self, learned: Model, held: Model, rays: Rays, surfaces: Surfaces, key: PRNGKeyArray, bias: Float[Array, ""]
-    ) -> tuple[Float[Array, ""], Terms]:
-        """Sum and terms of the second pass."""
         assert self.second_pass is not None
-        terms = self.second_pass.terms(eqx.combine(learned, held).field, rays, surfaces, key, bias)
-        return total(terms), terms
+        surfaces, key = self.division.spread_evenly(part.surfaces), self._keys(step, seed, index)["sphere"]
+        bias, second_pass = self.schedule.bias(progress).astype(jnp.float32), self.second_pass
+
+        def weighted(field: Field) -> tuple[Float[Array, ""], Terms]:
+            terms = second_pass.terms(field, part.rays, surfaces, key, bias)
+            return total(terms), terms
+
+        gradient, terms = _added(weighted, self._blurred(model, progress), part.gradient)
+        return replace(part, gradient=gradient, terms=part.terms | terms)
 
     def descended(
         self,
@@ -196,6 +197,10 @@ class Step:
         return eqx.tree_at(lambda s: s.model.sampler, state, sampler)
 
 
-def _with_second_pass(weighted: Callable[..., tuple[Float[Array, ""], Terms]], *arguments: Any) -> Any:
-    """Value, terms and gradient of the second pass. Profiles know it by this function's name."""
-    return jax.value_and_grad(weighted, has_aux=True)(*arguments)
+def _added(loss: Callable[[Field], tuple[Float[Array, ""], Terms]], model: Model, gradient: Model) -> tuple[Model, Terms]:
+    """The sum of a gradient and that of a loss which evaluates the field's encoding once, and the loss's terms."""
+    learned, held = model.split()
+    on = lambda learned: loss(eqx.combine(learned, held).field.adding_to(gradient.field))  # noqa: E731
+    more, terms = jax.grad(on, has_aux=True)(learned)
+    added = jax.tree.map(jnp.add, gradient, more)
+    return eqx.tree_at(lambda model: model.field.encoding, added, more.field.encoding), terms

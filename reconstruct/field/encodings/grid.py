@@ -1,6 +1,7 @@
 """What nested grids with hashed tables have in common, whatever the shape of their cells."""
 
 from abc import abstractmethod
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -26,6 +27,8 @@ class HashedGrid(eqx.Module):
     """Vertices per unit length of each level, or for other cells than cubes as many per volume as cubes of that spacing."""
     log2_size: int = eqx.field(static=True)
     """Rows of each level, as a power of two."""
+    onto: Float[Array, "features rows"] | None = None
+    """Gradient of the table so far, see `Encoding.adding_to`; None: there is none."""
 
     @classmethod
     def create(
@@ -38,6 +41,10 @@ class HashedGrid(eqx.Module):
         """
         resolutions = resolutions_between(coarsest, finest, levels)
         return cls(start_values(key, features, levels, log2_size), jnp.zeros(()), resolutions, log2_size)
+
+    def adding_to(self, gradient: "HashedGrid") -> "HashedGrid":
+        """The same, whose table's gradient is added to that of `gradient`, in its memory; see `Encoding`."""
+        return replace(self, onto=jax.lax.stop_gradient(gradient.table))
 
     @property
     def num_channels(self) -> int:
@@ -114,6 +121,7 @@ def _backward(with_slopes: bool, saved: Any, cotangents: list) -> tuple[Any, ...
         found = grid.located(*place, with_slopes=with_slopes)
     rows, coefficients = found
     gradient = (tables.spread_rows if by_row() else tables.spread)(grid.table.shape, rows, coefficients, cotangents)
+    gradient = gradient if grid.onto is None else grid.onto + gradient
     zeros = jax.tree.map(jnp.zeros_like, (grid, points, scale))
     return (eqx.tree_at(lambda one: one.table, zeros[0], gradient), *zeros[1:])
 

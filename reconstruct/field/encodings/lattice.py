@@ -75,7 +75,8 @@ class PermutohedralLattice(HashedGrid):
         units = resolution * np.float32(VERTICES_PER_UNIT_VOLUME)
         first = starts(len(self.resolutions), self.log2_size)[:, 0]
         sizes = np.stack([np.full_like(first, self.log2_size), first])
-        return encode(self.table, jax.lax.stop_gradient(points), share, units, sizes, with_slopes=with_slopes)
+        place = (jax.lax.stop_gradient(points), share, units, sizes)
+        return encode(self.table, *place, with_slopes=with_slopes, onto=self.onto)
 
     def located(self, points, scale, *, with_slopes: bool) -> tuple[list, list]:
         """Rows of the four vertices around each point and sets of four coefficients, each (levels, n)."""

@@ -22,10 +22,12 @@ from koala3d.reconstruct.kernels.loops.chunks import address_of, in_chunks
 from koala3d.reconstruct.kernels.loops.compiler import compiled, compiled_exactly, handler, intrinsic
 from koala3d.reconstruct.kernels.loops.frame import (
     argument,
+    argument_address,
     argument_count,
     argument_size,
     executes,
     result,
+    result_address,
     result_count,
     result_size,
 )
@@ -196,16 +198,37 @@ def _encode_level(frame, level):
 @compiled
 def _scatter_level(frame, level):
     """Gradient of one level's part of the table."""
-    points, share, units, sizes = _common(frame)
-    count, levels, features = points.shape[1], units.shape[0], argument_size(frame, 4, 0)
-    values = argument(frame, 4, (features, levels, count), np.float32)
-    with_slopes = argument_count(frame) > 5
+    sizes, features = _common(frame)[3], argument_size(frame, 4, 0)
     gradient = result(frame, 0, (features, result_size(frame, 0, 1)), np.float32)
     first_row, num_rows = sizes[1, level], 1 << sizes[0, level]
     for feature in range(features):
         column = gradient[feature, first_row:]
         for row in range(num_rows):
             column[row] = f4(0)
+    _add_level(frame, level, argument_count(frame) > 5)
+
+
+@compiled
+def _scatter_level_onto(frame, level):
+    """The same on top of what is there: the last argument, in whose memory the result is, or of which it is a copy."""
+    sizes, features, last = _common(frame)[3], argument_size(frame, 4, 0), argument_count(frame) - 1
+    shape = (features, result_size(frame, 0, 1))
+    gradient, before = result(frame, 0, shape, np.float32), argument(frame, last, shape, np.float32)
+    first_row, num_rows = sizes[1, level], 1 << sizes[0, level]
+    if result_address(frame, 0) != argument_address(frame, last):
+        for feature in range(features):
+            for row in range(first_row, first_row + num_rows):
+                gradient[feature, row] = before[feature, row]
+    _add_level(frame, level, last > 5)
+
+
+@compiled
+def _add_level(frame, level, with_slopes):
+    """Add one level's part of the gradient to the result."""
+    points, share, units, sizes = _common(frame)
+    count, levels, features = points.shape[1], units.shape[0], argument_size(frame, 4, 0)
+    values = argument(frame, 4, (features, levels, count), np.float32)
+    gradient, first_row = result(frame, 0, (features, result_size(frame, 0, 1)), np.float32), sizes[1, level]
     rows, weights, slopes, ranks, update = _scratch()
     for first in range(0, count, BLOCK):
         size = min(BLOCK, count - first)
@@ -240,6 +263,7 @@ def _spread_more(cotangent, coefficients, count, update):
 
 
 _address_of_encoding, _address_of_scattering = address_of(_encode_level, 2), address_of(_scatter_level, 2)
+_address_of_scattering_onto = address_of(_scatter_level_onto, 2)
 
 
 @handler
@@ -256,4 +280,12 @@ def scatter(frame):
     """Cotangents of the values, and of the derivatives where they are given, to the gradient of the table (features, rows)."""
     if executes(frame):
         in_chunks(frame, _address_of_scattering(), 0, argument_size(frame, 1, 0), True)
+    return 0
+
+
+@handler
+def scatter_onto(frame):
+    """The same, added to a gradient (features, rows) that comes last."""
+    if executes(frame):
+        in_chunks(frame, _address_of_scattering_onto(), 0, argument_size(frame, 1, 0), argument_size(frame, 0, 1) * argument_size(frame, 1, 0) >= BUSY)
     return 0
