@@ -81,7 +81,7 @@ def odd(rng: np.random.Generator, *shape: int) -> np.ndarray:
     return np.where(rng.random(shape) < 0.1, rng.choice(ODD, shape), plain)
 
 
-def grid_case(rng: np.random.Generator, *, backward: bool) -> Case:
+def grid_case(rng: np.random.Generator, *, backward: bool, onto: bool = False) -> Case:
     count, levels, features = rng.choice([1, 2, 255, 256, 257, 700]), rng.integers(1, 5), rng.integers(1, 5)
     logs = rng.integers(4, 9, levels)
     sizes = np.stack([logs, np.cumsum([0, *(2 ** logs[:-1])])]).astype(np.int32)
@@ -91,6 +91,8 @@ def grid_case(rng: np.random.Generator, *, backward: bool) -> Case:
     table = (features, int((2**logs).sum()))
     if backward:
         pulled = [odd(rng, *shape) for shape in shapes]
+        if onto:
+            return Case(lattice._scatter_level_onto, levels, [*place, *pulled, odd(rng, *table)], [(table, np.float32)])
         return Case(lattice._scatter_level, levels, [*place, *pulled], [(table, np.float32)])
     return Case(lattice._encode_level, levels, [*place, odd(rng, *table)], [(shape, np.float32) for shape in shapes])
 
@@ -179,6 +181,7 @@ def squares_case(rng: np.random.Generator) -> Case:
 CASES: dict[str, Callable[[np.random.Generator], Case]] = {
     "encode": lambda rng: grid_case(rng, backward=False),
     "scatter": lambda rng: grid_case(rng, backward=True),
+    "scatter_onto": lambda rng: grid_case(rng, backward=True, onto=True),
     "descend": descent_case,
     "sample": sample_case,
     "pack": pack_case,

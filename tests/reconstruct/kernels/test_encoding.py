@@ -109,6 +109,18 @@ def test_values_are_near_those_of_float64() -> None:
     np.testing.assert_allclose(found, expected, atol=1e-7 * 64 * 32)  # 1 ulp of a position of 1.2 times 64, times the slope
 
 
+@pytest.mark.parametrize("compiled", [True, False])
+def test_a_gradient_is_added_to_another_one(compiled: bool) -> None:
+    """Of values, and of values with slopes: the gradient so far and the plain gradient, which is in another memory."""
+    grid, points = lattice(), points_of(300)
+    bars = bars_of(grid, 300)
+    before = eqx.tree_at(lambda one: one.table, grid, drawn.normal(*grid.table.shape, seed=7))
+    gradients = native_of if compiled else twin_of
+    alone, added = (gradients(one, points, None, bars)[1] for one in (grid, grid.adding_to(before)))
+    for one, other in zip(alone, added, strict=True):  # sums of float32 in another order
+        np.testing.assert_allclose(other, one + before.table, atol=1e-5 * float(np.abs(one).max()))
+
+
 def test_runs_repeat_to_the_bit() -> None:
     grid, points = lattice(8, log2_size=14), points_of(8192)
     bars = bars_of(grid, 8192)
