@@ -14,6 +14,13 @@ from koala3d.datasets.structure.masks.votes import carved
 from koala3d.reconstruct.sampling.occupancy import cell_centres
 from koala3d.reconstruct.scene.rays import Normalisation, Pixels, scaled_camera
 
+BLOCK = 4
+"""Cells per axis of a block."""
+NEARER = 1.5
+"""How much nearer to a camera than the middle one a block may be."""
+AMONG = 4
+"""Radii of a block within which a camera is among the cells."""
+
 
 def cells_in_masks(
     pixels: Pixels,
@@ -46,6 +53,30 @@ def cells_in_masks(
     possible = np.zeros(grid**3, bool)
     possible[carved([silhouettes[i] for i in order], box, grid)] = True
     return possible
+
+
+def pixels_on_cells(
+    possible: NDArray[np.bool_], views: tuple[View, ...], normalisation: Normalisation, scale: float
+) -> NDArray[np.bool_]:
+    """(pixels,) True for those of all views whose rays may meet a possible cell, one view after the other.
+
+    Balls about blocks of cells stand for the cells. A view from among them has all of its pixels.
+    """
+    cells = round(len(possible) ** (1 / 3))
+    whole = np.pad(possible.reshape((cells,) * 3), [(0, -cells % BLOCK)] * 3)
+    count, edge = len(whole) // BLOCK, 2 * BLOCK / cells
+    occupied = whole.reshape((count, BLOCK) * 3).any((1, 3, 5)).ravel()
+    half = edge * count / 2
+    points = cell_centres(count, half)[occupied] + (half - 1)
+    world, radius = points / normalisation.scale + normalisation.centre, np.sqrt(3) / 2 * edge / normalisation.scale
+    found = []
+    for view in views:
+        camera, position = scaled_camera(view, scale), view.world_from_camera[:3, 3]
+        if np.linalg.norm(world - position, axis=-1).min(initial=np.inf) < AMONG * radius:
+            found.append(np.ones(camera.width * camera.height, bool))
+        else:
+            found.append(Sight(camera, view.world_from_camera).covered(world, NEARER * radius)[0].ravel())
+    return np.concatenate(found)
 
 
 def cells_in_sight(views: tuple[View, ...], normalisation: Normalisation, grid: int, needed: int = 3) -> NDArray[np.bool_]:

@@ -7,7 +7,7 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, Shaped
+from jaxtyping import Array, Bool, Float, Int, Shaped
 from numpy.typing import NDArray
 
 from koala3d.datasets.camera_model import Camera
@@ -214,6 +214,11 @@ class Pixels(eqx.Module):
     def total(self) -> int | Int[Array, ""]:
         """How many pixels there are."""
         return self.directions.shape[0] if self.count is None else self.count
+
+    def chosen(self, those: Bool[np.ndarray, " pixels"]) -> "Pixels":
+        """Some of the pixels."""
+        arrays = {name: jnp.asarray(np.asarray(getattr(self, name))[those]) for name in ("colour", "directions", "view")}
+        return replace(self, **arrays)
 
     def filled_up(self) -> "Pixels":
         """The same in arrays of one of few lengths, so that what was compiled for one scene serves others of about its size."""

@@ -15,6 +15,7 @@ from koala3d.datasets.structure.masks.silhouette import Slack
 from koala3d.reconstruct.config import Config
 from koala3d.reconstruct.rendering.probe import Probe
 from koala3d.reconstruct.sampling.create import sampler_type
+from koala3d.reconstruct.sampling.hull import pixels_on_cells
 from koala3d.reconstruct.sampling.hull_distance import hull_distance
 from koala3d.reconstruct.scene import poses
 from koala3d.reconstruct.scene.facts import SceneFacts
@@ -77,12 +78,16 @@ def prepare(
         config, facts, others = decided(scene, pixels, normalisation, possible, matches, config)
         facts, skips = replace(facts, session=session), [*others, *skips]
     pixels = pixels.under(facts.light, views)
-    pixels = pixels.filled_up() if pool is None else pixels
+    seen = pixels
+    if pool is None:
+        if possible is not None and possible.any() and normalisation.bounded:  # rays that meet nothing learn nothing
+            pixels = pixels.chosen(pixels_on_cells(possible, views, normalisation, config.scale))
+        pixels = pixels.filled_up()
     if fresh:
         config = sized(config, facts, pixels)
     config = Config.model_validate_json(distributed.decided_text(config.model_dump_json()))
     step = Step.of(config, facts)
-    hull = hull_distance(possible, pixels) if possible is not None and config.field.matter == "solid" else None
+    hull = hull_distance(possible, seen) if possible is not None and config.field.matter == "solid" else None
     state = step.initial(jax.random.key(config.train.seed), possible, len(views), hull)
     step = replace(step, division=Division.among(jax.devices(), state.model.sampler.divided_sizes))
     distributed.require_same((state, pixels), "scene")
