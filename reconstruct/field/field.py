@@ -77,9 +77,7 @@ class Field(eqx.Module):
         """Density [1 / scene unit] and material."""
         return self._heads(self.spatial(cloud.encoded(self.encoding)), cloud)
 
-    def with_normals(
-        self, cloud: Cloud, shown: int | None = None
-    ) -> tuple[Float[Array, " n"], Material, Float[Array, "3 n"]]:
+    def with_normals(self, cloud: Cloud, shown: int | None = None) -> tuple[Float[Array, " n"], Material, Float[Array, "3 n"]]:
         """Density, material and unit normals: minus the direction of the density's gradient, analytically.
 
         exp is monotonic, so the gradient of the density's logarithm has the same direction and never overflows.

@@ -287,5 +287,11 @@ def scatter(frame):
 def scatter_onto(frame):
     """The same, added to a gradient (features, rows) that comes last."""
     if executes(frame):
-        in_chunks(frame, _address_of_scattering_onto(), 0, argument_size(frame, 1, 0), argument_size(frame, 0, 1) * argument_size(frame, 1, 0) >= BUSY)
+        in_chunks(
+            frame,
+            _address_of_scattering_onto(),
+            0,
+            argument_size(frame, 1, 0),
+            argument_size(frame, 0, 1) * argument_size(frame, 1, 0) >= BUSY,
+        )
     return 0
