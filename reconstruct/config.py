@@ -24,7 +24,9 @@ class EncodingConfig(Schema):
     )
     levels: int = setting(8, "Number of resolutions.", ge=1, le=32)
     features: int = setting(2, "Features per level; frequencies have none of their own.", ge=1, le=8)
-    log2_size: int = setting(16, "Rows of each level's table, as a power of two; grids only.", ge=4, le=24)
+    log2_size: int | None = setting(
+        None, "Rows of each level's table, as a power of two; grids only. None: 16, or more for a long training.", ge=4, le=24
+    )
     coarsest: float = setting(
         8.0, "Vertices per unit of the normalised scene at the coarsest level; radians per unit for frequencies.", gt=0
     )

@@ -71,7 +71,7 @@ class Field(eqx.Module):
 
     def density(self, cloud: Cloud) -> Float[Array, " n"]:
         """Density alone [1 / scene unit]."""
-        return self._activated(self.spatial(cloud.encoded(self.encoding))[0], cloud)
+        return self._activated(self.spatial.only(1)(cloud.encoded(self.encoding))[0], cloud)
 
     def __call__(self, cloud: Cloud) -> tuple[Float[Array, " n"], Material]:
         """Density [1 / scene unit] and material."""

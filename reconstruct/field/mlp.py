@@ -1,5 +1,7 @@
 """A small fully connected network with channels first: the layout in which the encodings deliver."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -41,6 +43,11 @@ class Mlp(eqx.Module):
             return network.evaluate_with_sensitivity(self._layers, inputs)
         outputs, pull = jax.vjp(self.in_jax, inputs)
         return outputs, pull(jnp.zeros_like(outputs).at[0].set(1.0))[0]
+
+    def only(self, outputs: int) -> "Mlp":
+        """The network of the first `outputs` outputs."""
+        last = (self.weights[-1][:outputs], self.biases[-1][:outputs])
+        return replace(self, weights=(*self.weights[:-1], last[0]), biases=(*self.biases[:-1], last[1]))
 
     @property
     def _layers(self) -> network.Layers:

@@ -28,8 +28,8 @@ from koala3d.reconstruct.scene.frustum import Frustum
 from koala3d.reconstruct.scene.rays import Normalisation, Pixels, Rays
 from koala3d.reconstruct.scene.space import BOX, Space
 
-UPKEEP_PERIOD, UPKEEP_CELLS = 16, 65536
-"""Every so many steps the field is evaluated in so many cells of the grid."""
+FIRST_UPKEEP, LAST_UPKEEP, UPKEEP_CELLS = 16, 64, 65536
+"""Steps between two times that the field is evaluated in so many cells of the grid, at the start and at the end."""
 OUTER = 2
 """Cells per axis of the object's grid for each of the grid of the surroundings."""
 SAMPLES_PER_RAY = 8
@@ -169,9 +169,9 @@ class OccupiedSteps(Sampler):
         """The grid keeps the largest densities."""
         return eqx.tree_at(lambda s: s.grid, self, self.grid.noted(*met))
 
-    def upkeep_due(self, since: int) -> bool:
-        """Every `UPKEEP_PERIOD` steps."""
-        return since >= UPKEEP_PERIOD
+    def upkeep_due(self, since: int, progress: float) -> bool:
+        """Less and less often: what is empty late in a training stays empty."""
+        return since >= FIRST_UPKEEP * (LAST_UPKEEP / FIRST_UPKEEP) ** progress
 
     def upkept(self, field: Field, key: PRNGKeyArray) -> "OccupiedSteps":
         """The field is evaluated in the next cells of the grid, and occupied cells are decided anew."""

@@ -130,7 +130,7 @@ class Sampler(eqx.Module):
         """The same with what a step has found out."""
         return self
 
-    def upkeep_due(self, since: int) -> bool:
+    def upkeep_due(self, since: int, progress: float) -> bool:
         """Whether `upkept` is due, `since` steps after the last time. False throughout where there is nothing to keep up."""
         return False
 

@@ -24,6 +24,7 @@ from koala3d.reconstruct.scene.rays import Normalisation, Pixels
 from koala3d.reconstruct.scene.reading import training_pixels
 from koala3d.reconstruct.training import distributed
 from koala3d.reconstruct.training.batches import Division
+from koala3d.reconstruct.training.capacity import with_rows
 from koala3d.reconstruct.training.decisions import poses as pose_decision
 from koala3d.reconstruct.training.decisions.decide import decided
 from koala3d.reconstruct.training.decisions.evidence.matches import matches_of
@@ -54,6 +55,7 @@ def prepare(
     *,
     fresh: bool = True,
     copies: Copies | None = None,
+    budget_s: float | None = None,
 ) -> Prepared:
     """Read the scene's pictures, measure it, decide on the configuration, and make fresh weights.
 
@@ -61,6 +63,7 @@ def prepare(
         known: what an earlier training measured, whose decisions are in `config`; None: measure the scene and decide.
         fresh: take as many rays per step as there is memory for, and decide whether poses are refined.
         copies: where large pictures are kept for the next time.
+        budget_s: seconds of training, where they say how long it is; None: the configuration's steps.
     """
     views = scene.split("train")
     pixels, pool = training_pixels(views, normalisation, config.scale, copies)
@@ -84,7 +87,7 @@ def prepare(
             pixels = pixels.chosen(pixels_on_cells(possible, views, normalisation, config.scale))
         pixels = pixels.filled_up()
     if fresh:
-        config = sized(config, facts, pixels)
+        config = sized(with_rows(config, budget_s), facts, pixels)
     config = Config.model_validate_json(distributed.decided_text(config.model_dump_json()))
     step = Step.of(config, facts)
     hull = hull_distance(possible, seen) if possible is not None and config.field.matter == "solid" else None

@@ -73,7 +73,8 @@ class Training:
             self.pixels = self.pool.renewed(self.pixels, clock.step)
         self.state, terms = self.advance(self.state, self.pixels, seed, done, count, second)
         clock.since_upkeep += count
-        if schedule.rules_out_cells(clock.progress) and self.state.model.sampler.upkeep_due(clock.since_upkeep):
+        due = self.state.model.sampler.upkeep_due(clock.since_upkeep, clock.progress)
+        if due and schedule.rules_out_cells(clock.progress):
             self.state = self.keep_up(self.state, seed)
             clock.since_upkeep = 0
         jax.block_until_ready(terms)

@@ -44,7 +44,7 @@ def start(
     refuse_existing(out)
     known = None if start_from is None else facts_of_series(scene, start_from) if series else start_from.facts
     normalisation = normalisation_of(scene, config) if known is None else known.normalisation
-    prepared = prepare(scene, config, normalisation, known, copies=copies_beside(out))
+    prepared = prepare(scene, config, normalisation, known, copies=copies_beside(out), budget_s=budget_s)
     config, state = prepared.step.config, prepared.state
     about = {
         "scene_name": scene.name,

@@ -111,21 +111,21 @@ def _tried(training: "Training", budget_s: float) -> tuple[float, float]:
     from koala3d.reconstruct.training.training import CHUNK
 
     seed, surface = jnp.asarray(training.run.config.train.seed, jnp.int32), training.run.config.surface
+    plain: list[float] = []
+    passes: list[float] = []
     state, longest = jax.tree.map(jnp.copy, training.state), min(LONGEST_S, SHARE * budget_s)
     begun, progress = time.perf_counter(), jnp.zeros((), jnp.float32)
 
     def timed(state: Any, count: int, second: bool) -> tuple[Any, float]:
         start = time.perf_counter()
         state, terms = training.advance(state, training.pixels, seed, progress, count, second)
-        if count == CHUNK and state.model.sampler.upkeep_due(count):
+        if count == CHUNK and len(plain) % 2 and state.model.sampler.upkeep_due(2 * count, 0.5):  # as often as half-way
             state = training.keep_up(state, seed)
         jax.block_until_ready((state, terms))
         return state, (time.perf_counter() - start) / count
 
     state, first = timed(state, 1, False)
     count = int(np.clip(distributed.decided(longest / 8 / max(first, 1e-6)), 1, CHUNK))
-    plain: list[float] = []
-    passes: list[float] = []
     while not plain or distributed.decided(time.perf_counter() - begun) < longest:
         state, seconds = timed(state, count, False)
         plain.append(seconds)

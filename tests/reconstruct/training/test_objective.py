@@ -38,12 +38,12 @@ DIRECTIONS = np.array([[0, 0, 1.0], [0, 0, -1.0], [1.0, 0, 0], [-1.0, 0, 0]])
 class HalfSpace(Field):
     """Density 10 where z <= 0. Normals: z on the surface, `TILTED` elsewhere. Reflected colour in direction d: max(0, -d_z)."""
 
-    def with_normals(self, cloud: Cloud) -> tuple[jax.Array, Material, jax.Array]:
+    def with_normals(self, cloud: Cloud, shown: int | None = None) -> tuple[jax.Array, Material, jax.Array]:
         z, count = cloud.points[2], cloud.points.shape[1]
         columns = lambda vector: jnp.asarray(vector, jnp.float32)[:, None]  # noqa: E731
         normals = jnp.where(z == 0, columns([0, 0, 1.0]), columns(TILTED))
-        some = jnp.ones((3, count))
-        material = Material(some, some, some[:1], some * columns(PREDICTED), jnp.zeros((0, count)))
+        some = jnp.ones((3, count))[:, :shown]
+        material = Material(some, some, some[:1], some * columns(PREDICTED), jnp.zeros((0, some.shape[1])))
         return jnp.where(z <= 0, 10.0, 0.0), material, normals
 
     def shade(

@@ -1,0 +1,37 @@
+"""How many rows the tables have: as many as the samples to come can fill.
+
+A table with too few rows stops a training at a ceiling, since many vertices share a row; one with too many takes longer at each
+step and learns each row from fewer samples. docs/lab/2026-11-29-rows-for-the-steps-to-come.md has the figures.
+"""
+
+import math
+
+import jax
+
+from koala3d.reconstruct.config import Config
+from koala3d.reconstruct.field.encodings.create import FEWEST_ROWS
+from koala3d.reconstruct.training.ray_count import LEAST, samples_of
+
+SAMPLES_PER_ROW = 875
+"""Of a training for each row of a level."""
+MOST_ROWS = 18
+"""Logarithm to base 2 of the rows that no training goes beyond by itself."""
+STEP_S = {"cpu": 0.01}
+"""Roughly the seconds of a step, by platform; `ELSEWHERE` where it is another one."""
+ELSEWHERE = 0.002
+
+
+def with_rows(config: Config, budget_s: float | None) -> Config:
+    """The configuration with `encoding.log2_size` as the training's length is worth, where nobody has set it.
+
+    Args:
+        budget_s: seconds of training; None: as many steps as configured.
+    """
+    if config.encoding.log2_size is not None:
+        return config
+    platform = jax.default_backend()
+    steps = config.train.steps if budget_s is None else budget_s / STEP_S.get(platform, ELSEWHERE)
+    samples = samples_of(config.sampler) if platform == "cpu" else max(LEAST, samples_of(config.sampler))
+    log2_size = round(math.log2(max(steps * samples * config.train.accumulate / SAMPLES_PER_ROW, 1)))
+    encoding = config.encoding.model_copy(update={"log2_size": min(max(log2_size, FEWEST_ROWS), MOST_ROWS)})
+    return config.model_copy(update={"encoding": encoding})
