@@ -1,5 +1,6 @@
 """Draws the conventions (frames of the rig, camera axes, pixels, a ray) with the functions that the programs use."""
 
+import csv
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,10 @@ Array = NDArray[np.float64]
 SESSION = Path(__file__).parent.parent / "configs" / "trajectories" / "calibration_demo.yaml"
 VIEW = 14
 """The view of the session at which the arm is drawn."""
+CURVE = Path(__file__).parent / "curve.csv"
+"""Trainings of budgets of seconds, by `tests.bench.curve`."""
+PUBLISHED = {"instant-ngp": (161, 35.65), "3DGS": (360, 35.70), "NeRF": (84_600, 32.86)}
+"""Seconds on one GPU and PSNR [dB] of `lego` at 800×800, as NerfBaselines publishes them; NeRF's as in its paper."""
 AXES = ("#c33", "#292", "#33c")
 """x red, y green, z blue."""
 DPI = 110
@@ -36,6 +41,7 @@ def draw_all(out: Path) -> list[Path]:
         "pixels": pixels,
         "ray": ray,
         "turned": turned,
+        "curve": curve,
     }
     for name, draw in drawings.items():
         figure = draw()
@@ -219,4 +225,23 @@ def turned() -> Figure:
         axes.set_title(title, y=0.95)
         axes.set_axis_off()
         axes.view_init(elev=14, azim=-60)
+    return figure
+
+
+def curve() -> Figure:
+    """PSNR against seconds of training on two cores, with published trainings on GPUs beside it."""
+    with CURVE.open() as table:
+        rows = list(csv.DictReader(table))
+    figure = _figure(7.5, 4.2)
+    axes: Any = figure.add_subplot()
+    for scene, width in sorted({(row["scene"], int(row["width_px"])) for row in rows}):
+        own = [row for row in rows if (row["scene"], int(row["width_px"])) == (scene, width)]
+        seconds, psnr = ([float(row[name]) for row in own] for name in ("training_s", "psnr_db"))
+        axes.plot(seconds, psnr, marker="o", markersize=4, label=f"{scene}, {width}×{width}, 2 cores")
+    for name, (seconds, psnr) in PUBLISHED.items():
+        axes.plot(seconds, psnr, "k^", markersize=5)
+        axes.annotate(f"{name}, GPU, 800×800", (seconds, psnr), xytext=(6, -3), textcoords="offset points", fontsize=8)
+    axes.set(xscale="log", xlabel="seconds of training", ylabel="PSNR of test views [dB]", xlim=(3, 5e5))
+    axes.grid(alpha=0.3, which="both")
+    axes.legend(fontsize=8, loc="lower right")
     return figure

@@ -8,6 +8,7 @@ import math
 
 import jax
 
+from koala3d.datasets.core.console import hint
 from koala3d.reconstruct.config import Config
 from koala3d.reconstruct.field.encodings.create import FEWEST_ROWS
 from koala3d.reconstruct.training.ray_count import LEAST, samples_of
@@ -32,6 +33,9 @@ def with_rows(config: Config, budget_s: float | None) -> Config:
     platform = jax.default_backend()
     steps = config.train.steps if budget_s is None else budget_s / STEP_S.get(platform, ELSEWHERE)
     samples = samples_of(config.sampler) if platform == "cpu" else max(LEAST, samples_of(config.sampler))
-    log2_size = round(math.log2(max(steps * samples * config.train.accumulate / SAMPLES_PER_ROW, 1)))
-    encoding = config.encoding.model_copy(update={"log2_size": min(max(log2_size, FEWEST_ROWS), MOST_ROWS)})
+    worth = round(math.log2(max(steps * samples * config.train.accumulate / SAMPLES_PER_ROW, 1)))
+    log2_size = min(max(worth, FEWEST_ROWS), MOST_ROWS)
+    if log2_size > FEWEST_ROWS and config.encoding.kind != "frequencies":
+        hint(f"2^{log2_size} rows for each level, in a training of this length: encoding.log2_size={log2_size}")
+    encoding = config.encoding.model_copy(update={"log2_size": log2_size})
     return config.model_copy(update={"encoding": encoding})
