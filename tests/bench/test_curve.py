@@ -14,7 +14,9 @@ def result(tmp_path: Path, seed: int, budget_s: float, **figures: object) -> Non
     evaluation = {"mean": {"psnr": 27.126}, "size": [200, 200], **figures}
     path = tmp_path / "lego" / "surfnerf" / f"base_{budget_s:g}" / f"seed_{seed}.json"
     files.make_folder(path.parent)
-    files.write_json(path, Result(path, "lego", Origin("surfnerf", "fast", "base", budget_s), seed, {}, evaluation, WORK).content())
+    files.write_json(
+        path, Result(path, "lego", Origin("surfnerf", "fast", "base", budget_s), seed, {}, evaluation, WORK).content()
+    )
 
 
 def test_rows_are_in_the_order_of_time(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ import pytest
 
 from koala3d.reconstruct import models
 from koala3d.reconstruct.kernels import native
+from koala3d.reconstruct.numerics.compiling import jit
 from koala3d.reconstruct.scene.facts import SceneFacts
 from koala3d.reconstruct.scene.rays import Normalisation, Pixels
 from koala3d.reconstruct.surface.second_pass import SecondPass
@@ -146,6 +147,31 @@ def test_a_second_pass_that_is_left_out_costs_nothing(trainable: Trainable) -> N
     start = eqx.tree_at(opaque, trainable.start, opaque(trainable.start).at[0].set(5.0))
     _, (plain, second) = trainable.trained(2, start, second=lambda index: index == 1)
     assert plain.keys() == second.keys() and plain["normal_consistency"] == 0 < second["normal_consistency"]
+
+
+def test_a_gradient_that_is_added_to_is_a_sum(trainable: Trainable, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Losses at surfaces, and the second pass: the same with gradients of their own that are added up."""
+
+    def apart(loss, model, gradient):
+        learned, held = model.split()
+        more, terms = jax.grad(lambda learned: loss(eqx.combine(learned, held).field), has_aux=True)(learned)
+        return jax.tree.map(jnp.add, gradient, more), terms
+
+    step, pixels = trainable.step, trainable.pixels
+    opaque = lambda state: state.model.field.spatial.biases[-1]  # noqa: E731
+    state = eqx.tree_at(opaque, trainable.start, opaque(trainable.start).at[0].set(5.0))
+    number, progress = jnp.asarray(0, jnp.int32), jnp.asarray(0.7, jnp.float32)
+
+    def gradients(model):
+        part = step.begun(model, number, pixels, number, progress)
+        return part.gradient, step.regularised(model, number, part, number, progress).gradient
+
+    added = jit(gradients)(state.model)
+    monkeypatch.setattr("koala3d.reconstruct.training.step._added", apart)
+    summed = jit(lambda model: gradients(model))(state.model)
+    assert not np.allclose(added[0].field.encoding.table, added[1].field.encoding.table, rtol=1e-3), "the second pass adds"
+    for one, other in zip(jax.tree.leaves(added), jax.tree.leaves(summed), strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-5 * float(np.abs(other).max()))  # sums of float32 in another order
 
 
 def test_faults_of_steps_in_a_chunk_are_kept(trainable: Trainable) -> None:
