@@ -5,8 +5,6 @@
 Points, directions and channels come first: (3, n), (channels, n).
 """
 
-from dataclasses import replace
-
 import equinox as eqx
 import jax
 from jaxtyping import Array, Float, PRNGKeyArray
@@ -92,10 +90,6 @@ class Field(eqx.Module):
             slope = self.outline.slope(slope, cloud.centres())
         material = self.appearance.material(raw[1:, :shown], cloud.centres()[:, :shown])
         return self._activated(raw[0], cloud), material, -normalise(barrier(slope), axis=0)
-
-    def adding_to(self, gradient: "Field") -> "Field":
-        """The same, whose encoding's gradient is added to that of `gradient`; see `Encoding.adding_to`."""
-        return replace(self, encoding=self.encoding.adding_to(gradient.encoding))
 
     def held_but_for_heads(self) -> "Field":
         """The same, of which only the last layer of the spatial network is learned: a loss of materials then moves no density."""

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from numpy.typing import NDArray
 
 from koala3d.reconstruct.config import Config
+from koala3d.reconstruct.field.encodings.grid import HashedGrid
 from koala3d.reconstruct.field.field import Field
 from koala3d.reconstruct.numerics.compiling import barrier, compiler_options
 from koala3d.reconstruct.rendering.model import Model
@@ -200,7 +201,13 @@ class Step:
 def _added(loss: Callable[[Field], tuple[Float[Array, ""], Terms]], model: Model, gradient: Model) -> tuple[Model, Terms]:
     """The sum of a gradient and that of a loss which evaluates the field's encoding once, and the loss's terms."""
     learned, held = model.split()
-    on = lambda learned: loss(eqx.combine(learned, held).field.adding_to(gradient.field))  # noqa: E731
+    encoding = lambda tree: tree.field.encoding  # noqa: E731
+    in_place = isinstance(encoding(model), HashedGrid)
+
+    def on(learned: Model) -> tuple[Float[Array, ""], Terms]:
+        whole = eqx.combine(learned, held)
+        return loss((eqx.tree_at(encoding, whole, encoding(whole).adding_to(encoding(gradient))) if in_place else whole).field)
+
     more, terms = jax.grad(on, has_aux=True)(learned)
     added = jax.tree.map(jnp.add, gradient, more)
-    return eqx.tree_at(lambda model: model.field.encoding, added, more.field.encoding), terms
+    return eqx.tree_at(encoding, added, encoding(more)) if in_place else added, terms

@@ -1,6 +1,6 @@
 """What every encoding of positions offers, so that fields do not know which one they have."""
 
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -20,13 +20,6 @@ class Encoding(Protocol):
     blur: Float[Array, ""]
     """Standard deviation that every point has at least; training lowers it, so that shape comes before detail. No
     gradient goes to it."""
-
-    def adding_to(self, gradient: Any) -> Any:
-        """The same, whose gradient is the sum of another loss's, `gradient`, and of one that evaluates it once, no more.
-
-        A gradient of tables is mostly zeros. It would take longer to make it and to add it than to find what is in it.
-        """
-        ...
 
     @property
     def num_channels(self) -> int:

@@ -29,10 +29,6 @@ class Frequencies(eqx.Module):
         """`levels` frequencies that grow geometrically from `coarsest` to `finest`; 1, 2, 4, ... 2^15 are Mip-NeRF's."""
         return cls(jnp.zeros(()), resolutions_between(coarsest, finest, levels))
 
-    def adding_to(self, gradient: "Frequencies") -> "Frequencies":
-        """The same: nothing is learned."""
-        return self
-
     @property
     def num_channels(self) -> int:
         """A sine and a cosine per frequency and axis."""

@@ -28,7 +28,7 @@ class HashedGrid(eqx.Module):
     log2_size: int = eqx.field(static=True)
     """Rows of each level, as a power of two."""
     onto: Float[Array, "features rows"] | None = None
-    """Gradient of the table so far, see `Encoding.adding_to`; None: there is none."""
+    """Gradient of the table so far, see `adding_to`; None: there is none."""
 
     @classmethod
     def create(
@@ -43,7 +43,10 @@ class HashedGrid(eqx.Module):
         return cls(start_values(key, features, levels, log2_size), jnp.zeros(()), resolutions, log2_size)
 
     def adding_to(self, gradient: "HashedGrid") -> "HashedGrid":
-        """The same, whose table's gradient is added to that of `gradient`, in its memory; see `Encoding`."""
+        """The same, whose gradient is the sum of another loss's, `gradient`, and of one that evaluates it once, no more.
+
+        The gradient of a table is mostly zeros. To make it and to add it would take longer than to find what is in it.
+        """
         return replace(self, onto=jax.lax.stop_gradient(gradient.table))
 
     @property
