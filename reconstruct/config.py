@@ -100,7 +100,6 @@ class SurfaceConfig(Schema):
     bias_form: Literal["kinds", "published"] = setting(
         "published", "Form of the Lambertian bias: for two kinds of surface, metals and others, or relative to its own maximum."
     )
-    grey: float = setting(0.0, "Weight: reflected light is grey, averaged over directions.", ge=0)
     variation: float = setting(1e-3, "Weight of the specular total variation.", ge=0)
     density_form: Literal["tangent", "published"] = setting(
         "tangent", "Form of the density smoothness: density lies in the surface's plane, or as published."

@@ -1,7 +1,5 @@
 """Which part of a colour is diffuse, asked where the cameras see a surface."""
 
-from dataclasses import replace
-
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -18,8 +16,6 @@ from koala3d.reconstruct.surface.regularisers import metal_or_not
 
 CAMERAS = 32
 """Cameras of a batch in whose directions each point is looked at."""
-FEW_CAMERAS = 8
-"""The same, if the mean over directions is all that is asked."""
 
 
 def bias_for_two_kinds(field: Field, place: Place, rays: Rays, surface: Surface) -> Float[Array, " n"]:
@@ -45,31 +41,6 @@ def bias_for_two_kinds(field: Field, place: Place, rays: Rays, surface: Surface)
         places=jnp.repeat(places, count, axis=1),
     )
     return metal_or_not(material.diffuse.T, shading.specular.T.reshape(towards.shape))
-
-
-def greyness_of_light(field: Field, place: Place, rays: Rays, surface: Surface) -> Float[Array, " n"]:
-    """How far the light that each surface point reflects, averaged over directions, is from grey: 0 if it is.
-
-    What one constant of the light adds to a colour, diffuse colours may take away everywhere, for red, green and blue apart. A
-    light that is as grey as it can be leaves colours to the object. The gradient goes to the light alone.
-    """
-    cloud = place.of(rays, surface)
-    held: Field = jax.lax.stop_gradient(field)
-    _, material = held(cloud)
-    towards = towards_surface(cloud.points, rays.origins[:FEW_CAMERAS], material.normals_pred)
-    count = towards.shape[1]
-    white = replace(material, tint=jnp.ones_like(material.tint))
-    repeated = Material.unstacked(jnp.repeat(white.stacked(), count, axis=1))
-    light, places = Lit.on(rays, surface.t, surface.ray), places_on(rays, surface.t, surface.ray)
-    shading = field.shade(
-        repeated,
-        towards.reshape(-1, 3).T,
-        light=None if light is None else light.repeated(count),
-        places=jnp.repeat(places, count, axis=1),
-    )
-    mean = jnp.mean(shading.specular.T.reshape(towards.shape), 1)
-    grey = jnp.mean(mean, -1, keepdims=True)
-    return jnp.mean(jnp.square(mean - grey), -1) / jnp.square(jnp.maximum(jax.lax.stop_gradient(grey[:, 0]), 1e-2))
 
 
 def at_object(place: Place, rays: Rays, surface: Surface, factor: float | Float[Array, ""]) -> Float[Array, " n"]:

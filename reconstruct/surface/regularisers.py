@@ -6,6 +6,8 @@ from jaxtyping import Array, Float, Int
 
 SPREAD = (0.15, 0.4)
 """Relative deviation over directions up to which a surface is no mirror, and from which on it is nothing else."""
+DARK = 0.1
+"""Channels darker than this, of the brightest, are left out."""
 
 
 def density_smoothness(
@@ -53,13 +55,18 @@ def metal_or_not(diffuse: Float[Array, "rays 3"], specular: Float[Array, "rays n
 
 
 def mirrors(diffuse: Float[Array, "rays 3"], specular: Float[Array, "rays n 3"]) -> Float[Array, " rays"]:
-    """From 0 to 1, as data: how far the reflection's relative deviation over directions is from the low end of `SPREAD`."""
+    """From 0 to 1, as data: how far the colour's relative deviation over directions is from the low end of `SPREAD`.
+
+    That of the channel which deviates least: what is added to a paint is grey and the paint is not, while a metal tints all that it
+    reflects. Channels much darker than another one say nothing.
+    """
     diffuse, specular = jax.lax.stop_gradient((diffuse, specular))
-    light = jnp.mean(specular, -1)
-    middle = jnp.mean(light, -1)
-    deviation = jnp.sqrt(jnp.mean(jnp.square(light - middle[:, None]), -1))
+    middle = jnp.mean(specular, 1)
+    deviation = jnp.sqrt(jnp.mean(jnp.square(specular - middle[:, None]), 1))
+    whole = diffuse + middle
+    dark = whole < DARK * jnp.max(whole, -1, keepdims=True)
+    share = jnp.min(jnp.where(dark, jnp.inf, deviation / jnp.maximum(whole, 1e-3)), -1)
     low, high = SPREAD
-    share = deviation / jnp.maximum(jnp.mean(diffuse, -1) + middle, 1e-3)
     along = jnp.clip((share - low) / (high - low), 0.0, 1.0)
     return along * along * (3 - 2 * along)
 

@@ -15,7 +15,7 @@ from koala3d.reconstruct.scene.rays import Rays
 from koala3d.reconstruct.surface import regularisers
 from koala3d.reconstruct.surface.ball import ball_samples
 from koala3d.reconstruct.surface.first_surface import Surfaces
-from koala3d.reconstruct.surface.parts import at_object, bias_for_two_kinds, greyness_of_light
+from koala3d.reconstruct.surface.parts import at_object, bias_for_two_kinds
 from koala3d.reconstruct.surface.place import Place
 
 NEIGHBOURS = 3
@@ -58,8 +58,6 @@ class SecondPass:
             two_kinds = bias_for_two_kinds(field, self.place, rays, surfaces.solid)
             factor = at_object(self.place, rays, surfaces.solid, bias)
             terms["lambertian_bias"] = wanted.bias * surfaces.solid.mean(two_kinds * factor)
-        if wanted.grey and field.appearance.predicts_normals:
-            terms["grey_light"] = wanted.grey * surfaces.solid.mean(greyness_of_light(field, self.place, rays, surfaces.solid))
         return terms
 
     def _around(
