@@ -33,6 +33,8 @@ KERNELS = {
     "rays": ("composite", "composite_back"),
 }
 """Compiled functions that XLA calls, by module of `loops`."""
+HELPERS = len(os.sched_getaffinity(0)) - 1 if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 2) - 1
+"""Threads that a kernel may ask to help the one that XLA calls: compiled into the kernels."""
 APART = ("layers", "rays", "squares", "descent")
 """Modules that take half of the time to compile: at the first start another process does that."""
 
@@ -119,7 +121,7 @@ def imported(names: Sequence[str]) -> dict[str, Any]:
 
 
 def _folder() -> Path:
-    return cache_folder() / "numba" / _digest()
+    return cache_folder() / "numba" / f"{_digest()}_{HELPERS}"
 
 
 def _compiling_apart() -> subprocess.Popen[bytes] | None:

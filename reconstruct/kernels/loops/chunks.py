@@ -3,7 +3,7 @@
 What a chunk writes nobody else writes, and how work is cut does not depend on the threads: the result is the same to the bit
 whether one thread does all chunks or each its share.
 
-The thread that XLA calls works too. It asks one more thread of XLA's pool for help, goes on, and in the end waits only for
+The thread that XLA calls works too. It asks the other threads of XLA's pool for help, goes on, and in the end waits only for
 chunks that somebody has begun; so nothing is waited for that may never run. Help that comes late finds nothing left to do.
 What the threads share is a block of six integers, which the last of them gives back:
 
@@ -17,6 +17,7 @@ from numba.core import cgutils
 
 from koala3d.reconstruct.kernels.loops.compiler import intrinsic, plain
 from koala3d.reconstruct.kernels.loops.frame import API, CALL_FRAME, load_word, store_word
+from koala3d.reconstruct.kernels.native import HELPERS
 
 _API, _CONTEXT, _SCHEDULE = CALL_FRAME["api"], CALL_FRAME["context"], API["schedule"]
 _NEXT, _DONE, _HOLDERS, _END, _FRAME, _WORK, _SIZE = 0, 8, 16, 24, 32, 40, 48
@@ -166,9 +167,10 @@ def _ask_for_help(frame, block):
 def in_chunks(frame, work, first, end, worth_help):
     """Call the function at address `work` with the frame and each chunk from `first` to before `end`.
 
-    One thread does it unless two are worth it.
+    One thread does it unless several are worth it; then there are as many as processors, and no more than chunks.
     """
-    if end - first < 2 or not worth_help:
+    helpers = min(HELPERS, end - first - 1)
+    if helpers < 1 or not worth_help:
         for chunk in range(first, end):
             _do(work, frame, chunk)
         return
@@ -179,7 +181,8 @@ def in_chunks(frame, work, first, end, worth_help):
     store_word(block + _END, end)
     store_word(block + _FRAME, frame)
     store_word(block + _WORK, work)
-    _ask_for_help(frame, block)
+    for _ in range(helpers):
+        _ask_for_help(frame, block)
     _take(block)
     looks = 0
     while _fetch_add(block + _DONE, 0) < end:

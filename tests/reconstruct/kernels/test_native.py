@@ -99,3 +99,29 @@ def test_double_precision_is_for_jax() -> None:
     with jax.enable_x64(True):
         assert not native.usable(drawn.array([0.0], np.float64))
         assert native.usable(drawn.array([0.0]))
+
+
+WITH_HELPERS = """
+import hashlib, sys
+import jax, jax.numpy as jnp, numpy as np
+from koala3d.reconstruct.kernels import native
+native.HELPERS = int(sys.argv[1])
+from koala3d.reconstruct.field.encodings.lattice import PermutohedralLattice
+assert native.why_not() is None
+grid = PermutohedralLattice.create(jax.random.key(0), levels=8, features=2, log2_size=14, coarsest=6.0, finest=256.0)
+points = jnp.asarray(np.random.default_rng(0).uniform(-1, 1, (3, 8192)), jnp.float32)
+loss = lambda table: jnp.sum(jnp.square(type(grid)(table, grid.blur, grid.resolutions, grid.log2_size)(points)))
+gradient = jax.jit(jax.grad(loss))
+found = {np.asarray(gradient(grid.table)).tobytes() for _ in range(20)}
+print(len(found), hashlib.sha256(next(iter(found))).hexdigest())
+"""
+
+
+@pytest.mark.slow
+def test_however_many_threads_help_the_result_is_the_same() -> None:
+    """None, and more than there are processors: each compiles all kernels."""
+    done = [
+        subprocess.run([sys.executable, "-c", WITH_HELPERS, str(helpers)], capture_output=True, text=True) for helpers in (0, 5)
+    ]
+    assert not any(one.returncode for one in done), done[0].stderr + done[1].stderr
+    assert done[0].stdout == done[1].stdout and done[0].stdout.startswith("1 ")
