@@ -172,13 +172,14 @@ def test_an_interrupted_call_continues(six: Path, tmp_path: Path, monkeypatch: p
 def test_a_killed_process_leaves_what_the_next_one_needs(six: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     out, work = tmp_path / "scene", Work(tmp_path / "scene")
     command = [sys.executable, "-m", "koala3d.datasets.cli", "process", str(six), "--out", str(out)]
-    running = subprocess.Popen(command, stderr=subprocess.DEVNULL)
-    while running.poll() is None and len(list(work.features.glob("0*.npz"))) < 2:
-        time.sleep(0.02)
-    running.kill()
-    running.wait()
+    with (tmp_path / "said").open("w") as said:
+        running = subprocess.Popen(command, stderr=said)
+        while running.poll() is None and len(list(work.features.glob("0*.npz"))) < 2:
+            time.sleep(0.02)
+        running.kill()
+        running.wait()
     kept = list(work.features.glob("0*.npz"))
-    assert len(kept) >= 2 and not out.exists()
+    assert len(kept) >= 2 and not out.exists(), (tmp_path / "said").read_text()
     detected = []
     whole = features.detect
     with pytest.MonkeyPatch.context() as patch:
