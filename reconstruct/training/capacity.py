@@ -17,7 +17,7 @@ SAMPLES_PER_ROW = 875
 """Of a training for each row of a level."""
 MOST_ROWS = 18
 """Logarithm to base 2 of the rows that no training goes beyond by itself."""
-STEP_S = {"cpu": 0.01}
+STEP_S = {"cpu": 0.006}
 """Roughly the seconds of a step, by platform; `ELSEWHERE` where it is another one."""
 ELSEWHERE = 0.002
 

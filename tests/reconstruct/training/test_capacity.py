@@ -16,7 +16,7 @@ def test_longer_trainings_have_more_rows(steps: int, log2_size: int) -> None:
 
 def test_a_budget_of_seconds_stands_for_steps() -> None:
     config = models.load_config(overrides=["train.steps=1"])
-    assert [with_rows(config, seconds).encoding.log2_size for seconds in (15, 140, 300)] == [16, 17, 18]
+    assert [with_rows(config, seconds).encoding.log2_size for seconds in (15, 60, 300)] == [16, 17, 18]
 
 
 def test_a_device_takes_larger_batches_and_shorter_steps(monkeypatch: pytest.MonkeyPatch) -> None:
