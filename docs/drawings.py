@@ -239,8 +239,8 @@ def curve() -> Figure:
         seconds, psnr = ([float(row[name]) for row in own] for name in ("training_s", "psnr_db"))
         axes.plot(seconds, psnr, marker="o", markersize=4, label=f"{scene}, {width}×{width}, 2 cores")
     axes.plot(*zip(*PUBLISHED.values(), strict=True), "k^", markersize=5, label="lego, 800×800, one GPU, published")
-    for name, place in PUBLISHED.items():
-        axes.annotate(name, place, xytext=(0, -12), textcoords="offset points", fontsize=8, ha="center")
+    for (name, place), side in zip(PUBLISHED.items(), ("right", "left", "center"), strict=True):
+        axes.annotate(name, place, xytext=(0, -12), textcoords="offset points", fontsize=8, ha=side)
     axes.set(xscale="log", xlabel="seconds of training", ylabel="PSNR of test views [dB]", xlim=(3, 5e5))
     axes.grid(alpha=0.3, which="both")
     axes.legend(fontsize=8, loc="lower right")
