@@ -26,7 +26,7 @@ VIEW = 14
 CURVE = Path(__file__).parent / "curve.csv"
 """Trainings of budgets of seconds, by `tests.bench.curve`."""
 PUBLISHED = {"instant-ngp": (161, 35.65), "3DGS": (360, 35.70), "NeRF": (84_600, 32.86)}
-"""Seconds on one GPU and PSNR [dB] of `lego` at 800×800, as NerfBaselines publishes them; NeRF's as in its paper."""
+"""Published seconds on one GPU and PSNR [dB] of `lego` at 800×800."""
 AXES = ("#c33", "#292", "#33c")
 """x red, y green, z blue."""
 DPI = 110

@@ -81,15 +81,14 @@ class Field(eqx.Module):
         exp is monotonic, so the gradient of the density's logarithm has the same direction and never overflows.
 
         Args:
-            shown: the first so many places have a material; None: all.
+            shown: number of places, the first ones, whose material is wanted; None: all.
         """
         features, jacobian = cloud.encoded_with_jacobian(self.encoding)
         raw, sensitivity = self.spatial.with_sensitivity(features)
         slope = cloud.gradient(sensitivity, jacobian)
         if self.outline is not None:
             slope = self.outline.slope(slope, cloud.centres())
-        material = self.appearance.material(raw[1:, :shown], cloud.centres()[:, :shown])
-        return self._activated(raw[0], cloud), material, -normalise(barrier(slope), axis=0)
+        return *self._heads(raw, cloud, shown), -normalise(barrier(slope), axis=0)
 
     def held_but_for_heads(self) -> "Field":
         """The same, of which only the last layer of the spatial network is learned: a loss of materials then moves no density."""
@@ -123,5 +122,7 @@ class Field(eqx.Module):
             return safe_exp(raw + self.density_bias)
         return safe_exp(self.outline.log_density(raw, cloud.centres()))
 
-    def _heads(self, raw: Float[Array, "channels n"], cloud: Cloud) -> tuple[Float[Array, " n"], Material]:
-        return self._activated(raw[0], cloud), self.appearance.material(raw[1:], cloud.centres())
+    def _heads(
+        self, raw: Float[Array, "channels n"], cloud: Cloud, shown: int | None = None
+    ) -> tuple[Float[Array, " n"], Material]:
+        return self._activated(raw[0], cloud), self.appearance.material(raw[1:, :shown], cloud.centres()[:, :shown])

@@ -17,9 +17,9 @@ from koala3d.reconstruct.scene.rays import Normalisation, Pixels, scaled_camera
 BLOCK = 4
 """Cells per axis of a block."""
 NEARER = 1.5
-"""How much nearer to a camera than the middle one a block may be."""
+"""How many times nearer to a camera than the middle block the nearest one may be."""
 AMONG = 4
-"""Radii of a block within which a camera is among the cells."""
+"""A camera that is nearer to a block than so many of its radii is among the cells."""
 
 
 def cells_in_masks(

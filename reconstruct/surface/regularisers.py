@@ -57,8 +57,8 @@ def metal_or_not(diffuse: Float[Array, "rays 3"], specular: Float[Array, "rays n
 def mirrors(diffuse: Float[Array, "rays 3"], specular: Float[Array, "rays n 3"]) -> Float[Array, " rays"]:
     """From 0 to 1, as data: how far the colour's relative deviation over directions is from the low end of `SPREAD`.
 
-    That of the channel which deviates least: what is added to a paint is grey and the paint is not, while a metal tints all that
-    it reflects. Channels much darker than another one say nothing.
+    The channel that deviates least decides: a reflection on paint is grey and the paint is not, while a metal tints all that it
+    reflects. Channels much darker than the brightest one are left out.
     """
     diffuse, specular = jax.lax.stop_gradient((diffuse, specular))
     middle = jnp.mean(specular, 1)

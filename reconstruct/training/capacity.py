@@ -17,25 +17,24 @@ SAMPLES_PER_ROW = 875
 """Of a training for each row of a level."""
 MOST_ROWS = 18
 """Logarithm to base 2 of the rows that no training goes beyond by itself."""
-STEP_S = {"cpu": 0.006}
-"""Roughly the seconds of a step, by platform; `ELSEWHERE` where it is another one."""
-ELSEWHERE = 0.002
+CPU_STEP_S, DEVICE_STEP_S = 0.006, 0.002
+"""Roughly the seconds of a step, on a processor and on an accelerator."""
 
 
 def with_rows(config: Config, budget_s: float | None) -> Config:
-    """The configuration with `encoding.log2_size` as the training's length is worth, where nobody has set it.
+    """The configuration with an `encoding.log2_size` for the length of the training, unless it is set or there are no tables.
 
     Args:
         budget_s: seconds of training; None: as many steps as configured.
     """
-    if config.encoding.log2_size is not None:
+    if config.encoding.log2_size is not None or config.encoding.kind == "frequencies":
         return config
-    platform = jax.default_backend()
-    steps = config.train.steps if budget_s is None else budget_s / STEP_S.get(platform, ELSEWHERE)
-    samples = samples_of(config.sampler) if platform == "cpu" else max(LEAST, samples_of(config.sampler))
+    on_cpu, samples = jax.default_backend() == "cpu", samples_of(config.sampler)
+    samples = samples if on_cpu else max(LEAST, samples)
+    steps = config.train.steps if budget_s is None else budget_s / (CPU_STEP_S if on_cpu else DEVICE_STEP_S)
     worth = round(math.log2(max(steps * samples * config.train.accumulate / SAMPLES_PER_ROW, 1)))
     log2_size = min(max(worth, FEWEST_ROWS), MOST_ROWS)
-    if log2_size > FEWEST_ROWS and config.encoding.kind != "frequencies":
+    if log2_size > FEWEST_ROWS:
         hint(f"2^{log2_size} rows for each level, in a training of this length: encoding.log2_size={log2_size}")
     encoding = config.encoding.model_copy(update={"log2_size": log2_size})
     return config.model_copy(update={"encoding": encoding})

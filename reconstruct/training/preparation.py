@@ -81,7 +81,7 @@ def prepare(
         config, facts, others = decided(scene, pixels, normalisation, possible, matches, config)
         facts, skips = replace(facts, session=session), [*others, *skips]
     pixels = pixels.under(facts.light, views)
-    seen = pixels
+    whole = pixels
     if pool is None:
         if possible is not None and possible.any() and normalisation.bounded:  # rays that meet nothing learn nothing
             pixels = pixels.chosen(pixels_on_cells(possible, views, normalisation, config.scale))
@@ -90,7 +90,7 @@ def prepare(
         config = sized(with_rows(config, budget_s), facts, pixels)
     config = Config.model_validate_json(distributed.decided_text(config.model_dump_json()))
     step = Step.of(config, facts)
-    hull = hull_distance(possible, seen) if possible is not None and config.field.matter == "solid" else None
+    hull = hull_distance(possible, whole) if possible is not None and config.field.matter == "solid" else None
     state = step.initial(jax.random.key(config.train.seed), possible, len(views), hull)
     step = replace(step, division=Division.among(jax.devices(), state.model.sampler.divided_sizes))
     distributed.require_same((state, pixels), "scene")

@@ -206,7 +206,9 @@ def _added(loss: Callable[[Field], tuple[Float[Array, ""], Terms]], model: Model
 
     def on(learned: Model) -> tuple[Float[Array, ""], Terms]:
         whole = eqx.combine(learned, held)
-        return loss((eqx.tree_at(encoding, whole, encoding(whole).adding_to(encoding(gradient))) if in_place else whole).field)
+        if in_place:
+            whole = eqx.tree_at(encoding, whole, encoding(whole).adding_to(encoding(gradient)))
+        return loss(whole.field)
 
     more, terms = jax.grad(on, has_aux=True)(learned)
     added = jax.tree.map(jnp.add, gradient, more)

@@ -43,9 +43,10 @@ class HashedGrid(eqx.Module):
         return cls(start_values(key, features, levels, log2_size), jnp.zeros(()), resolutions, log2_size)
 
     def adding_to(self, gradient: "HashedGrid") -> "HashedGrid":
-        """The same, whose gradient is the sum of another loss's, `gradient`, and of one that evaluates it once, no more.
+        """The same grid for one more loss, whose gradient comes out with `gradient` added to it.
 
-        The gradient of a table is mostly zeros. To make it and to add it would take longer than to find what is in it.
+        That loss must evaluate the grid exactly once. A gradient of a table is mostly zeros: clearing a second table and adding
+        it to the first would take longer than finding the few rows that are not zero.
         """
         return replace(self, onto=jax.lax.stop_gradient(gradient.table))
 
