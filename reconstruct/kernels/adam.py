@@ -24,6 +24,7 @@ def descended(
     *,
     decays: tuple[float, float],
     smallest: float,
+    shrinks: float,
     count: Any,
     rate: Float[Array, ""],
     finite: Bool[Array, ""],
@@ -35,10 +36,11 @@ def descended(
     Args:
         decays: of the mean and of the mean square, beta_1 and beta_2.
         smallest: epsilon, added to the root of the mean square.
+        shrinks: weight decay: this times the parameter is added to its gradient.
         count: steps up to this one, at least 1.
     """
     corrections = [1 - decay ** jnp.asarray(count, jnp.float32) for decay in decays]
-    numbers = jnp.stack([jnp.asarray(v, jnp.float32) for v in (*decays, *corrections, smallest, rate, finite)])
+    numbers = jnp.stack([jnp.asarray(v, jnp.float32) for v in (*decays, *corrections, smallest, rate, finite, shrinks)])
     like = [native.float32(*parameter.shape)] * 3
     new = native.call("descend", like, gradient, parameter, mean, square, numbers, in_place={1: 0, 2: 1, 3: 2})
     return new[0], new[1], new[2]

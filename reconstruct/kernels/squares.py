@@ -1,6 +1,5 @@
 """The sum of an array's squares, through a compiled kernel where the array is large."""
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -11,15 +10,7 @@ CHUNK = 32768
 
 
 def sum_of_squares(array: Float[Array, "*shape"]) -> Float[Array, ""]:
-    """Sum of the squares of all numbers; differentiable."""
+    """Sum of the squares of all numbers."""
     if array.size < 2 * CHUNK or not native.usable(array):
         return jnp.sum(jnp.square(array))
-    return _through_kernel(array)
-
-
-@jax.custom_vjp
-def _through_kernel(array: Float[Array, "*shape"]) -> Float[Array, ""]:
     return native.call("squares", [native.float32(), native.float32(-(-array.size // CHUNK))], array)[0]
-
-
-_through_kernel.defvjp(lambda array: (_through_kernel(array), array), lambda array, cotangent: (2 * cotangent * array,))

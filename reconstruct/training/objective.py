@@ -73,7 +73,7 @@ class Objective:
             rendered = rendered.exposed(model.log_gains[rays.view])
         background = jax.random.uniform(background_key, (rays.origins.shape[0], 3))
         terms |= photometric(rendered, batch.colour, background, batch.used, model.per_image is not None)
-        terms |= self.ray_terms(model, rendered, density, found, progress)
+        terms |= self.ray_terms(rendered, density, found, progress)
         surfaces = self.surfaces(rendered, found.samples, rays, progress, model.sampler.bounds.half_box)
         return total(terms), (terms, jax.lax.stop_gradient(density), surfaces)
 
@@ -103,10 +103,8 @@ class Objective:
             return found
         return found.settled(self.schedule.by_share(progress), self.place.in_box(rays, solid, half_box))
 
-    def ray_terms(
-        self, model: Model, rendered: Rendered, density: Float[Array, " n"], found: Sampled, progress: Float[Array, ""]
-    ) -> Terms:
-        """Losses of the weights along each ray, and the decay of the tables."""
+    def ray_terms(self, rendered: Rendered, density: Float[Array, " n"], found: Sampled, progress: Float[Array, ""]) -> Terms:
+        """Losses of the weights along each ray."""
         weights, terms = self.weights, {}
         if found.edges is not None:
             terms |= interlevel_term(found.edges, rendered.weights, found.levels)
@@ -116,8 +114,6 @@ class Objective:
             terms |= hollowness_term(rendered, density, found.samples, self.schedule.hollowness(progress))
         if weights.fog:
             terms |= fog_term(rendered, found.samples, self.schedule.fog(progress))
-        if weights.decay:
-            terms |= decay_term(model, weights.decay)
         return terms
 
 
@@ -205,12 +201,6 @@ def fog_term(rendered: Rendered, samples: RaySamples, weight: float | Float[Arra
 def pose_term(corrections: Float[Array, "views 6"], weight: float) -> Terms:
     """Corrections of poses, in standard deviations of the given poses, stay near zero: half their mean square per view."""
     return {"poses": weight / 2 * jnp.mean(jnp.sum(corrections * corrections, -1))}
-
-
-def decay_term(model: Model, weight: float) -> Terms:
-    """Mean square of the tables' values, summed over levels, those of the sampler included."""
-    encodings = [model.field.encoding, *model.sampler.encodings]
-    return {"decay": weight * sum((encoding.decay() for encoding in encodings), jnp.zeros(()))}
 
 
 def total(terms: Terms) -> Float[Array, ""]:

@@ -1,4 +1,4 @@
-"""Adam, with the learning rates of tables, networks and poses."""
+"""Adam, with the learning rates of tables, networks and poses, and the weight decay of what encodings learn."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -43,6 +43,8 @@ class Optimiser:
     """One step down a gradient. Takes and returns what is learned of a model (`Model.split`)."""
 
     schedule: Schedule
+    decay: float
+    """Weight of the mean square of the encodings' features, summed over levels: a loss whose value nothing needs."""
     network_share: float
     """Learning rate of networks, of that of tables."""
     pose_sigma: tuple[float, ...]
@@ -51,7 +53,8 @@ class Optimiser:
     @classmethod
     def of(cls, config: Config, facts: SceneFacts) -> "Optimiser":
         """As configured, for one scene."""
-        return cls(Schedule(config), config.train.network_share, config.poses.sigma(facts.normalisation.scale))
+        sigma = config.poses.sigma(facts.normalisation.scale)
+        return cls(Schedule(config), config.losses.decay, config.train.network_share, sigma)
 
     def begin(self, learned: Model) -> optax.OptState:
         """Moments before the first step."""
@@ -73,7 +76,7 @@ class Optimiser:
         """
         state, rate = _parameters(moments), self.schedule.rate(progress)
         tables = jax.tree.map_with_path(lambda path, p: _is_table(path) and adam.takes(p), learned)
-        trees = [eqx.partition(tree, tables) for tree in (gradient, learned, state.mu, state.nu)]
+        trees = [eqx.partition(tree, tables) for tree in (gradient, learned, state.mu, state.nu, self._shrinks(learned))]
         others = self._others([rest for _, rest in trees], state.count, rate, progress, finite, origins)
         new = _with_tables([table for table, _ in trees], others, state.count, rate, finite)
         return new[0], optax.ScaleByAdamState(jnp.where(finite, optax.safe_increment(state.count), state.count), *new[1:])
@@ -87,8 +90,9 @@ class Optimiser:
         finite: Bool[Array, ""],
         origins: Float[Array, "views 3"],
     ) -> list[Model]:
-        """Parameters, means and squares of what no compiled kernel takes, from gradient, parameters, means and squares."""
-        gradient, learned, means, squares = trees
+        """Parameters, means and squares of what no compiled kernel takes; `trees` as in `descended`."""
+        gradient, learned, means, squares, shrinks = trees
+        gradient = jax.tree.map(lambda g, p, s: g + s * p if s else g, gradient, learned, shrinks)
         moments = optax.ScaleByAdamState(count, _parameters(means), _parameters(squares))
         update, moments = descent(_parameters(gradient), moments, finite)
         rates = jax.tree.map_with_path(lambda path, _: jnp.where(finite, rate * self._share(path), 0.0), learned)
@@ -104,6 +108,12 @@ class Optimiser:
             new = eqx.tree_at(lambda m: m.poses, new, jnp.where(finite, learned.poses - step * sigma, learned.poses))
         return [new, _parameters(moments).mu, _parameters(moments).nu]
 
+    def _shrinks(self, learned: Model) -> Model:
+        """What times each parameter its weight decay adds to its gradient."""
+        encodings = (learned.field.encoding, *learned.sampler.encodings)
+        by_leaf = {id(leaf): self.decay * encoding.decay for encoding in encodings for leaf in jax.tree.leaves(encoding)}
+        return jax.tree.map(lambda leaf: by_leaf.get(id(leaf), 0.0), learned)
+
     def _share(self, path: tuple[Any, ...]) -> float:
         """Factor on the learning rate of the parameter at `path`."""
         return 1.0 if _is_table(path) else self.network_share
@@ -116,7 +126,9 @@ def _with_tables(
     count = optax.safe_increment(count)
     new: list[list[Array]] = [[], [], []]
     for table in zip(*map(jax.tree.leaves, tables), strict=True):
-        found = adam.descended(*table, decays=DECAYS, smallest=SMALLEST, count=count, rate=rate, finite=finite)
+        *arrays, shrinks = table
+        options = {"decays": DECAYS, "smallest": SMALLEST, "shrinks": shrinks, "count": count, "rate": rate, "finite": finite}
+        found = adam.descended(*arrays, **options)
         for one, array in zip(new, found, strict=True):
             one.append(array)
     structure = jax.tree.structure(tables[0])

@@ -107,7 +107,7 @@ def graded(request: pytest.FixtureRequest) -> tuple[Model, Callable]:
         cloud = cloud_of(rays, samples, space=BALL, footprint=Footprint())
         rendered, density = render(model.field, rays, samples, cloud)
         terms = objective.photometric(rendered, some(16, 4), jnp.ones((16, 3)), jnp.ones(16, bool))
-        terms |= objective.distortion_term(rendered, samples, 0.01) | objective.decay_term(model, 0.1)
+        terms |= objective.distortion_term(rendered, samples, 0.01)
         terms |= objective.hollowness_term(rendered, density, samples, 0.1) | objective.fog_term(rendered, samples, 0.1)
         found = jax.lax.stop_gradient(find_surfaces(rendered.weights, samples, rays.radii, config.surface.rays))
         terms |= objective.surface_point_terms(model.field, rays, found, step.objective.weights, place, jnp.ones(()))

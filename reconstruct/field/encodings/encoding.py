@@ -36,8 +36,9 @@ class Encoding(Protocol):
         """Features and their derivative to the position, the scale held constant."""
         ...
 
-    def decay(self) -> Float[Array, ""]:
-        """What weight decay shrinks: the mean square of learned features, summed over levels."""
+    @property
+    def decay(self) -> float:
+        """Slope of weight decay at each learned feature, per value: of the mean square of features, summed over levels."""
         ...
 
 

@@ -50,9 +50,10 @@ class Frequencies(eqx.Module):
         values = jnp.concatenate([sine.reshape(-1, count), cosine.reshape(-1, count)])
         return values, jnp.concatenate([slope.reshape(-1, 3, count) for slope in slopes])
 
-    def decay(self) -> Float[Array, ""]:
+    @property
+    def decay(self) -> float:
         """Zero: nothing is learned."""
-        return jnp.zeros(())
+        return 0.0
 
     def _waves(self, points, scale) -> tuple[Float[Array, "levels 3 n"], Float[Array, "levels 3 n"], Float[np.ndarray, "..."]]:
         """Attenuated sines and cosines, and the frequencies in a shape that multiplies them."""

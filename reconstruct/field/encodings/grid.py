@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from koala3d.reconstruct.field.encodings import tables
 from koala3d.reconstruct.field.encodings.encoding import Scale
-from koala3d.reconstruct.field.encodings.tables import mean_squares, resolutions_between, start_values
+from koala3d.reconstruct.field.encodings.tables import resolutions_between, start_values
 from koala3d.reconstruct.numerics.compiling import barrier
 
 
@@ -76,9 +76,10 @@ class HashedGrid(eqx.Module):
         value, *slopes = self._evaluate(points, scale, with_slopes=True)
         return value, jnp.stack(slopes, 1)
 
-    def decay(self) -> Float[Array, ""]:
-        """Sum over levels of the mean square of the table's values (Zip-NeRF, Barron et al. 2023, section 3)."""
-        return mean_squares(self.table, len(self.resolutions))
+    @property
+    def decay(self) -> float:
+        """Slope of the mean square of the table's values, summed over levels (Zip-NeRF, Barron et al. 2023, section 3)."""
+        return 2 * len(self.resolutions) / self.table.size
 
     @abstractmethod
     def located(self, points: Float[Array, "3 n"], scale: Scale | None, *, with_slopes: bool) -> tuple[list, list]:

@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray, UInt32
 
-from koala3d.reconstruct.kernels.squares import sum_of_squares
 from koala3d.reconstruct.numerics.compiling import barrier
 from koala3d.reconstruct.numerics.lattice_constants import MIXER
 
@@ -23,11 +22,6 @@ def resolutions_between(coarsest: float, finest: float, levels: int) -> tuple[fl
 def start_values(key: PRNGKeyArray, features: int, levels: int, log2_size: int) -> Float[Array, "features rows"]:
     """A table of uniform values within 1e-4."""
     return jax.random.uniform(key, (features, levels * 2**log2_size), minval=-1e-4, maxval=1e-4)
-
-
-def mean_squares(table: Float[Array, "features rows"], levels: int) -> Float[Array, ""]:
-    """Sum over levels of the mean square of the values (Zip-NeRF, Barron et al. 2023, section 3)."""
-    return levels * sum_of_squares(table) / table.size
 
 
 def starts(levels: int, log2_size: int) -> Int[np.ndarray, "levels 1"]:

@@ -1,8 +1,8 @@
 """One step of Adam as a compiled loop: gradient, both moments and parameter are each read once and written in place.
 
-Arrays of a call: gradient, parameter, mean, square (all of one shape), numbers (7,): the decays of both moments, the corrections
-of their bias, the smallest denominator, the rate, and one, or zero where the step is to be left out. Results: parameter, mean,
-square.
+Arrays of a call: gradient, parameter, mean, square (all of one shape), numbers (8,): the decays of both moments, the corrections
+of their bias, the smallest denominator, the rate, one, or zero where the step is to be left out, and what times the parameter is
+added to the gradient. Results: parameter, mean, square.
 """
 
 from math import sqrt
@@ -40,16 +40,16 @@ def _in_place(frame, index, first, count):
 def _descend_chunk(frame, chunk):
     first = chunk * CHUNK
     count = min(CHUNK, argument_length(frame, 0) - first)
-    numbers = argument(frame, 4, (7,), np.float32)
+    numbers = argument(frame, 4, (8,), np.float32)
     gradient = argument(frame, 0, (first + count,), np.float32)[first:]
     parameter, mean = _in_place(frame, 0, first, count), _in_place(frame, 1, first, count)
     square = _in_place(frame, 2, first, count)
-    keep_mean, keep_square, smallest, rate = numbers[0], numbers[1], numbers[4], numbers[5]
+    keep_mean, keep_square, smallest, rate, shrinks = numbers[0], numbers[1], numbers[4], numbers[5], numbers[7]
     add_mean, add_square = f4(1) - keep_mean, f4(1) - keep_square
     of_mean, of_square = f4(1) / numbers[2], f4(1) / numbers[3]
     if numbers[6] != 0:
         for i in range(count):
-            g = gradient[i]
+            g = gradient[i] + shrinks * parameter[i]
             m = add_mean * g + keep_mean * mean[i]
             s = add_square * (g * g) + keep_square * square[i]
             mean[i] = m

@@ -14,11 +14,11 @@ from tests import drawn
 
 pytestmark = pytest.mark.usefixtures("kernels_run")
 
-RATE = 0.01
+RATE, SHRINKS = 0.01, 0.03
 
 
 @jax.jit
-def ours(gradient, parameter, mean, square, count, finite):
+def ours(gradient, parameter, mean, square, count, finite, shrinks=SHRINKS):
     return adam.descended(
         gradient,
         parameter,
@@ -26,6 +26,7 @@ def ours(gradient, parameter, mean, square, count, finite):
         square,
         decays=DECAYS,
         smallest=SMALLEST,
+        shrinks=shrinks,
         count=count + 1,
         rate=jnp.float32(RATE),
         finite=finite,
@@ -34,7 +35,7 @@ def ours(gradient, parameter, mean, square, count, finite):
 
 @jax.jit
 def theirs(gradient, parameter, mean, square, count, finite):
-    update, state = ADAM.update(gradient, optax.ScaleByAdamState(count, mean, square))
+    update, state = ADAM.update(gradient + SHRINKS * parameter, optax.ScaleByAdamState(count, mean, square))
     new = parameter - RATE * update, state.mu, state.nu
     return jax.tree.map(lambda a, b: jnp.where(finite, a, b), new, (parameter, mean, square))
 
@@ -49,7 +50,7 @@ def assert_alike(given: list[jax.Array], count: int = 6, finite: bool = True) ->
     found, expected = (f(*given, np.int32(count), np.bool_(finite)) for f in (ours, theirs))
     expected = [np.asarray(one) for one in expected]
     given = [np.asarray(one) for one in given]
-    gradient, before = np.abs(given[0]), [np.abs(one) for one in given[1:]]
+    gradient, before = np.abs(given[0]) + SHRINKS * np.abs(given[1]), [np.abs(one) for one in given[1:]]
     keep_mean, keep_square = DECAYS
     root = np.sqrt(expected[2] / (1 - keep_square ** (count + 1))) + SMALLEST
     added = ((1 - keep_mean) * gradient + keep_mean * before[1]) / (1 - keep_mean ** (count + 1)) / root  # whose parts may cancel
@@ -70,7 +71,7 @@ def test_any_count_and_gradients_of_any_size(count: int, sizes: float) -> None:
 
 def test_rows_that_were_never_touched_stay_where_they_are() -> None:
     zero = np.zeros(50000, np.float32)
-    new = ours(zero, zero + 1, zero, zero, np.int32(3), np.bool_(True))
+    new = ours(zero, zero + 1, zero, zero, np.int32(3), np.bool_(True), 0.0)
     np.testing.assert_array_equal(new[0], 1)
 
 
@@ -94,7 +95,14 @@ def test_what_is_given_stays_as_it_is_where_it_is_still_needed() -> None:
 def test_new_arrays_take_the_memory_of_the_old_in_a_loop() -> None:
     def steps(gradient, *state):
         one = lambda i, s: adam.descended(  # noqa: E731
-            gradient, *s, decays=DECAYS, smallest=SMALLEST, count=i + 1, rate=jnp.float32(RATE), finite=jnp.asarray(True)
+            gradient,
+            *s,
+            decays=DECAYS,
+            smallest=SMALLEST,
+            shrinks=SHRINKS,
+            count=i + 1,
+            rate=jnp.float32(RATE),
+            finite=jnp.asarray(True),
         )
         return jax.lax.fori_loop(0, 5, one, state)
 

@@ -11,12 +11,11 @@ pytestmark = pytest.mark.usefixtures("kernels_run")
 
 
 @pytest.mark.parametrize("count", [1, 2 * CHUNK - 1, 2 * CHUNK, 2 * CHUNK + 1, 2**20])
-def test_value_and_gradient(count: int) -> None:
+def test_value(count: int) -> None:
     array = drawn.normal(1, count)
-    value, gradient = jax.jit(jax.value_and_grad(sum_of_squares))(array)
+    value = jax.jit(sum_of_squares)(array)
     expected = np.sum(np.square(np.asarray(array, np.float64)))
     np.testing.assert_allclose(value, expected, rtol=1e-5)  # sums of at most 2,048 rounded numbers in each lane
-    np.testing.assert_array_equal(gradient, 2 * np.asarray(array))
 
 
 @pytest.mark.parametrize("odd", [np.nan, np.inf, 1e30])

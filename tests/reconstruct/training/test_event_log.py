@@ -107,7 +107,7 @@ def test_a_training_writes_every_figure_of_its_log(ball_scene: tuple[Scene, Path
     log = Run.open(tmp_path / "run").log()
     assert list(written) == [line["step"] for line in log] == [2, 4, 6]
     for line in log:
-        assert {"psnr_train", "occupied", "skipped", "loss/mse", "loss/decay"} <= set(scalars_of(line))
+        assert {"psnr_train", "occupied", "skipped", "loss/mse", "loss/photometric"} <= set(scalars_of(line))
         assert written[line["step"]] == pytest.approx(scalars_of(line), rel=1e-7), "float32 in the file"
 
 

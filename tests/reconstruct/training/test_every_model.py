@@ -30,7 +30,7 @@ RTOL = {0: 5e-3, 9: 0.05}
 another order: 1e-7 of a value, of which Adam makes a step wherever a gradient is tiny, and which a hundred steps enlarge. Terms
 that choose among neighbours differ most: 0.35 % of the Lambertian bias in the first ten. A wrong loss is further away."""
 ATOL = {0: 1e-7, 9: 5e-5}
-"""Of terms that are next to nothing, such as the decay of tables that begin within 1e-4; and in the end, of orientation, to which
+"""Of terms that are next to nothing, such as the distortion of few weights; and in the end, of orientation, to which
 a few samples contribute whose normals look away: 23 % of its 1e-4 between two kinds of processor, all others within 3 %."""
 CHANGES = {
     "field": {"view_depth": 3},

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -124,18 +123,6 @@ def test_interlevel_loss_of_one_interval_per_level() -> None:
     levels = ((whole, jnp.array([[0.7]])), (whole, jnp.array([[0.9]])))
     found = objective.interlevel_term(edges, jnp.array([[1.0, 0.0]]), levels)
     np.testing.assert_allclose(found["interlevel"], 0.01 * 0.126811, rtol=1e-4)
-
-
-def test_decay_sums_levels_and_proposals() -> None:
-    """Tables of 0.1 and two levels: 2 * 0.01; each of two proposals, of 0.2 and two levels, has 2 * 0.04."""
-    model = Model.create(jax.random.key(0), load_config(overrides=SMALL), FACTS)
-    filled = eqx.tree_at(lambda m: m.field.encoding.table, model, jnp.full_like(model.field.encoding.table, 0.1))
-    np.testing.assert_allclose(objective.decay_term(filled, 0.1)["decay"], 0.1 * 0.02, rtol=1e-5)
-    kinds = ["sampler.kind=proposal", "sampler.proposal_finest=[12, 12]", "field.outward=0"]
-    model = Model.create(jax.random.key(0), load_config(overrides=[*SMALL, *kinds]), FACTS)
-    tables = lambda m: [m.field.encoding.table, *(p.encoding.table for p in m.sampler.proposals)]  # noqa: E731
-    values = [jnp.full_like(table, value) for table, value in zip(tables(model), (0.1, 0.2, 0.2), strict=True)]
-    np.testing.assert_allclose(objective.decay_term(eqx.tree_at(tables, model, values), 0.1)["decay"], 0.1 * 0.18, rtol=1e-5)
 
 
 def test_normals_at_first_surfaces(rays: Rays, surface: Surface) -> None:

@@ -71,4 +71,4 @@ def test_published_frequencies_and_great_ones_stay_finite(points: np.ndarray) ->
 def test_nothing_is_learned(encoding: Frequencies, points: np.ndarray) -> None:
     gradient = jax.jit(jax.grad(lambda e, p: jnp.sum(e(p))))(encoding, points)
     np.testing.assert_array_equal(jax.tree.leaves(gradient)[0], 0)
-    assert encoding.decay() == 0
+    assert encoding.decay == 0

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from koala3d.reconstruct.field.encodings.lattice import PermutohedralLattice
-from koala3d.reconstruct.field.encodings.tables import mean_squares, row_of, starts
+from koala3d.reconstruct.field.encodings.tables import row_of, starts
 from koala3d.reconstruct.field.encodings.voxels import VoxelGrid
 from tests import drawn
 
@@ -14,11 +14,6 @@ def test_rows_are_spread_over_the_whole_table() -> None:
     for rows in np.asarray(jax.jit(row_of, static_argnums=1)(keys, 6)):
         counts = np.bincount(rows, minlength=64)
         assert len(counts) == 64 and counts.min() > 0.5 * counts.mean()  # 62 a row: 4 deviations
-
-
-def test_decay_adds_up_the_mean_squares_of_levels() -> None:
-    table = np.repeat(np.float32([[1, 3], [1, 3]]), 16, 1)
-    np.testing.assert_allclose(jax.jit(mean_squares, static_argnums=1)(table, 2), 1 + 9)
 
 
 @pytest.mark.parametrize("kind", [PermutohedralLattice, VoxelGrid])

@@ -120,7 +120,7 @@ def test_wide_gaussians_and_the_blur_fade_level_by_level(grid: VoxelGrid, points
         np.testing.assert_allclose(jacobian, plain_jacobian * share[:, None, None], rtol=1e-4, atol=1e-4)
 
 
-def test_decay_sums_mean_squares_of_levels(grid: VoxelGrid) -> None:
-    levels = np.asarray(grid.table, np.float64).reshape(2, 3, -1)
-    np.testing.assert_allclose(grid.decay(), np.mean(levels**2, axis=(0, 2)).sum(), rtol=1e-5)
+def test_decay_is_the_slope_of_mean_squares_summed_over_levels(grid: VoxelGrid) -> None:
+    squares = lambda table: jnp.sum(jnp.mean(jnp.square(table.reshape(2, 3, -1)), (0, 2)))  # noqa: E731
+    np.testing.assert_allclose(grid.decay * grid.table, jax.grad(squares)(grid.table), rtol=1e-5)
     assert grid.num_channels == 6
