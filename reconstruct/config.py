@@ -109,8 +109,9 @@ class SurfaceConfig(Schema):
 
 
 class LossConfig(Schema):
-    """Weights of the losses taken over from Zip-NeRF and Ref-NeRF."""
+    """Losses taken over from Zip-NeRF and Ref-NeRF: the width of the photometric one, and weights of the others."""
 
+    width: float = setting(1e-3, "Colour error below which the photometric loss is quadratic, above which it is linear.", gt=0)
     distortion: float = setting(0.0, "Weight: samples gather along a ray (real scenes: 0.01).", ge=0)
     hollowness: float = setting(0.0, "Weight: solid objects stay dense behind their surface.", ge=0)
     fog: float = setting(0.0, "Weight: rays lose no light in front of their surface.", ge=0)
@@ -133,7 +134,6 @@ class TrainConfig(Schema):
     seed: int = setting(0, "Seed of weights, rays and sphere rotations.", ge=0)
     first_blur: float = setting(0.02, "Standard deviation of every sample at the start [scene unit]; 0: none.", ge=0)
     last_blur: float = setting(0.001, "The same from `blur_until` on.", ge=0)
-    accumulate: int = setting(1, "Batches whose mean gradient makes one step.", ge=1)
     per_image: Literal["auto", "none", "exposure", "colour"] = setting(
         "auto", "Learned per training image: nothing, a gain, or a gain per colour; auto: what matched points say differs."
     )

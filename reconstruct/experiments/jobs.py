@@ -103,7 +103,7 @@ class Job:
 def work(trained: dict[str, Any], model: TrainedModel) -> dict[str, float]:
     """Time, rates and memory of a training in this process, by the names of `results.WORK`."""
     sampler, seconds = model.model.sampler, max(trained["training_s"], 1e-9)
-    per_second = model.run.config.train.accumulate * trained["steps"] / seconds
+    per_second = trained["steps"] / seconds
     times = {name: float(trained[name]) for name in ("steps", "training_s", "preparation_s", "compilation_s")}
     rates = {"rays_per_s": per_second * sampler.rays_drawn, "samples_per_s": per_second * sampler.samples_drawn}
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1024 if sys.platform == "linux" else 2**20)

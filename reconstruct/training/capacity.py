@@ -13,9 +13,9 @@ from koala3d.reconstruct.config import Config
 from koala3d.reconstruct.field.encodings.create import FEWEST_ROWS
 from koala3d.reconstruct.training.ray_count import LEAST, samples_of
 
-SAMPLES_PER_ROW = 875
+SAMPLES_PER_ROW = 800
 """Of a training for each row of a level."""
-MOST_ROWS = 18
+MOST_ROWS = 19
 """Logarithm to base 2 of the rows that no training goes beyond by itself."""
 CPU_STEP_S, DEVICE_STEP_S = 0.006, 0.002
 """Roughly the seconds of a step, on a processor and on an accelerator."""
@@ -32,7 +32,7 @@ def with_rows(config: Config, budget_s: float | None) -> Config:
     on_cpu, samples = jax.default_backend() == "cpu", samples_of(config.sampler)
     samples = samples if on_cpu else max(LEAST, samples)
     steps = config.train.steps if budget_s is None else budget_s / (CPU_STEP_S if on_cpu else DEVICE_STEP_S)
-    worth = round(math.log2(max(steps * samples * config.train.accumulate / SAMPLES_PER_ROW, 1)))
+    worth = round(math.log2(max(steps * samples / SAMPLES_PER_ROW, 1)))
     log2_size = min(max(worth, FEWEST_ROWS), MOST_ROWS)
     if log2_size > FEWEST_ROWS:
         hint(f"2^{log2_size} rows for each level, in a training of this length: encoding.log2_size={log2_size}")

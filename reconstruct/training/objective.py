@@ -26,8 +26,6 @@ Terms = dict[str, Float[Array, ""]]
 
 SATURATED = 254.5 / 255
 """sRGB from which a channel of eight bits is clipped."""
-COLOUR_WIDTH = 1e-3
-"""Colour error below which the photometric loss is quadratic."""
 INTERLEVEL = 0.01
 """Weight with which proposals follow the final level (Zip-NeRF)."""
 POSE_PRIOR = 1e-5
@@ -72,7 +70,8 @@ class Objective:
         if model.per_image is not None:
             rendered = rendered.exposed(model.log_gains[rays.view])
         background = jax.random.uniform(background_key, (rays.origins.shape[0], 3))
-        terms |= photometric(rendered, batch.colour, background, batch.used, model.per_image is not None)
+        clips, width = model.per_image is not None, self.weights.width
+        terms |= photometric(rendered, batch.colour, background, batch.used, width, clips)
         terms |= self.ray_terms(rendered, density, found, progress)
         surfaces = self.surfaces(rendered, found.samples, rays, progress, model.sampler.bounds.half_box)
         return total(terms), (terms, jax.lax.stop_gradient(density), surfaces)
@@ -126,8 +125,8 @@ def photometric(
     colour: Float[Array, "rays 4"],
     background: Float[Array, "rays 3"],
     used: Bool[Array, " rays"],
+    width: float,
     clips: bool = False,
-    width: float = COLOUR_WIDTH,
 ) -> Terms:
     """Charbonnier loss and mean square error of the rays that were rendered.
 

@@ -95,7 +95,7 @@ def prepare(
     step = replace(step, division=Division.among(jax.devices(), state.model.sampler.divided_sizes))
     distributed.require_same((state, pixels), "scene")
     if pool is not None:
-        pool = replace(pool, rays=state.model.sampler.rays_drawn * config.train.accumulate)
+        pool = replace(pool, rays=state.model.sampler.rays_drawn)
     return Prepared(step, state, pixels, Probe.of(scene, config, normalisation, copies, facts.light), pool, skips)
 
 

@@ -37,40 +37,35 @@ class Programs:
     regularise: Any
     """None where there is no second pass."""
     descend: Any
-    batches: tuple[Int[Array, ""], ...]
-    """Indices of a step's batches."""
     none: Int[Array, ""]
     """No faults."""
     nothing: dict[str, Array]
     """Terms of a second pass that is left out."""
     held_bytes: int
-    """State, pixels and the results of all batches."""
+    """State, pixels and the results of the stages."""
 
     @classmethod
     def of(cls, step: "Step", state: "TrainState", pixels: Pixels, options: dict[str, Any]) -> "Programs":
         """Compiled for such a state and such pixels, all stages at the same time."""
         number, real = jax.ShapeDtypeStruct((), jnp.int32), jax.ShapeDtypeStruct((), jnp.float32)
-        division, count = step.division, step.config.train.accumulate
+        division = step.division
         chosen = {**compiler_options(), **options}
         with ThreadPoolExecutor() as threads:  # a stage is compiled while the next is traced
 
             def compiled(stage: Any) -> Future[Any]:
                 return threads.submit(lambda: stage.lower().compile(compiler_options=chosen))
 
-            stage = traced(step.begun, (state.model, state.step, pixels, number, real, number), division)
+            stage = traced(step.begun, (state.model, state.step, pixels, number, real), division)
             part, known = _placed(stage.out_info, division), stage.out_info.terms.keys()
             begin, regularise = compiled(stage), None
             if step.second_pass is not None:
-                stage = traced(step.regularised, (state.model, state.step, part, number, real, number), division, uses_up=(2,))
+                stage = traced(step.regularised, (state.model, state.step, part, number, real), division, uses_up=(2,))
                 part, regularise = _placed(stage.out_info, division), compiled(stage)
-            descend = compiled(
-                traced(step.descended, (state, [part] * count, pixels.origins, real, number), division, uses_up=(0,))
-            )
-        indices = tuple(jnp.asarray(index, jnp.int32) for index in range(count))
-        held = _bytes((state, pixels)) + (count + (regularise is not None)) * _bytes(part)
+            descend = compiled(traced(step.descended, (state, part, pixels.origins, real, number), division, uses_up=(0,)))
+        held = _bytes((state, pixels)) + (1 + (regularise is not None)) * _bytes(part)
         nothing = {name: jnp.zeros(()) for name in sorted(part.terms.keys() - known)}
         second = regularise.result() if regularise else None
-        return cls(begin.result(), second, descend.result(), indices, jnp.zeros((), jnp.int32), nothing, held)
+        return cls(begin.result(), second, descend.result(), jnp.zeros((), jnp.int32), nothing, held)
 
     def __call__(
         self,
@@ -88,15 +83,12 @@ class Programs:
         """
         faults, terms = self.none, {}
         for left in reversed(range(int(count))):
-            parts = []
-            for index in self.batches:
-                part = self.begin(state.model, state.step, pixels, seed, progress, index)
-                if left == 0 and second and self.regularise is not None:
-                    part = self.regularise(state.model, state.step, part, seed, progress, index)
-                elif self.nothing:
-                    part = replace(part, terms=part.terms | self.nothing)
-                parts.append(part)
-            state, terms = self.descend(state, parts, pixels.origins, progress, faults)
+            part = self.begin(state.model, state.step, pixels, seed, progress)
+            if left == 0 and second and self.regularise is not None:
+                part = self.regularise(state.model, state.step, part, seed, progress)
+            elif self.nothing:
+                part = replace(part, terms=part.terms | self.nothing)
+            state, terms = self.descend(state, part, pixels.origins, progress, faults)
             faults = terms[FAULTS]
         return state, terms
 

@@ -45,7 +45,7 @@ class TrainState(eqx.Module):
 
 
 class Part(eqx.Module):
-    """One batch of a step: its gradient, what it costs, and what later stages need of it."""
+    """What a step has found out before its descent: its gradient, what it costs, and what later stages need."""
 
     gradient: Model
     terms: Terms
@@ -102,11 +102,9 @@ class Step:
         stage = traced(self.kept_up, (state, jax.ShapeDtypeStruct((), jnp.int32)), self.division, uses_up=(0,))
         return stage.lower().compile(compiler_options={**compiler_options(), **options})
 
-    def _keys(self, step: Int[Array, ""], seed: Int[Array, ""], index: int | Int[Array, ""]) -> dict[str, PRNGKeyArray]:
-        """Random keys of one of the batches of a step."""
-        key, count = jax.random.fold_in(jax.random.key(seed), step), self.config.train.accumulate
-        if count > 1:
-            key = jax.random.split(key, count)[index]
+    def _keys(self, step: Int[Array, ""], seed: Int[Array, ""]) -> dict[str, PRNGKeyArray]:
+        """Random keys of a step."""
+        key = jax.random.fold_in(jax.random.key(seed), step)
         return dict(zip(("pixels", "samples", "background", "sphere"), jax.random.split(key, 4), strict=True))
 
     def _blurred(self, model: Model, progress: Float[Array, ""]) -> Model:
@@ -114,21 +112,9 @@ class Step:
         blur, gain = self.schedule.blur(progress), self.schedule.gain(progress)
         return model.blurred(blur.astype(jnp.float32)).freed(gain.astype(jnp.float32))
 
-    def begun(
-        self,
-        model: Model,
-        step: Int[Array, ""],
-        pixels: Pixels,
-        seed: Int[Array, ""],
-        progress: Float[Array, ""],
-        index: int | Int[Array, ""] = 0,
-    ) -> Part:
-        """Draw a batch and find its gradient, without the second pass.
-
-        Args:
-            index: which of a step's batches.
-        """
-        keys, model = self._keys(step, seed, index), self._blurred(model, progress)
+    def begun(self, model: Model, step: Int[Array, ""], pixels: Pixels, seed: Int[Array, ""], progress: Float[Array, ""]) -> Part:
+        """Draw a batch and find its gradient, without the second pass."""
+        keys, model = self._keys(step, seed), self._blurred(model, progress)
         batch = drawn_batch(model, pixels, keys["pixels"], keys["samples"], self.division)
         learned, held = model.split()
         loss = lambda learned: self.objective(  # noqa: E731
@@ -141,17 +127,11 @@ class Step:
         return Part(gradient, terms | more, model.sampler.met(batch, density), batch.rays, surfaces)
 
     def regularised(
-        self,
-        model: Model,
-        step: Int[Array, ""],
-        part: Part,
-        seed: Int[Array, ""],
-        progress: Float[Array, ""],
-        index: int | Int[Array, ""] = 0,
+        self, model: Model, step: Int[Array, ""], part: Part, seed: Int[Array, ""], progress: Float[Array, ""]
     ) -> Part:
         """The same batch with the gradient and the terms of the regularisers' second pass."""
         assert self.second_pass is not None
-        surfaces, key = self.division.spread_evenly(part.surfaces), self._keys(step, seed, index)["sphere"]
+        surfaces, key = self.division.spread_evenly(part.surfaces), self._keys(step, seed)["sphere"]
         bias, second_pass = self.schedule.bias(progress).astype(jnp.float32), self.second_pass
 
         def weighted(field: Field) -> tuple[Float[Array, ""], Terms]:
@@ -164,31 +144,25 @@ class Step:
     def descended(
         self,
         state: TrainState,
-        parts: list[Part],
+        part: Part,
         origins: Float[Array, "views 3"],
         progress: Float[Array, ""],
         faults: Int[Array, ""],
     ) -> tuple[TrainState, Terms]:
-        """The state after a step down the mean gradient of the batches, and their mean terms.
+        """The state after a step down the gradient of a batch, and its terms.
 
         Args:
             origins: the cameras' positions.
             faults: those of the steps before, which are added to this step's.
         """
-        count = len(parts)
-        gradient = parts[0].gradient
-        terms, met = dict(parts[0].terms), parts[0].met
-        if count > 1:
-            gradient = jax.tree.map(lambda *values: sum(values[1:], values[0]) / count, *(part.gradient for part in parts))
-            terms = {name: sum((part.terms[name] for part in parts), jnp.zeros(())) / count for name in terms}
-            met = jax.tree.map(lambda *values: jnp.concatenate(values), *(part.met for part in parts))
+        terms = dict(part.terms)
         learned, held = self._blurred(state.model, progress).split()
-        finite = finite_parts(gradient)
+        finite = finite_parts(part.gradient)
         terms[FAULTS] = packed(finite, terms) | faults
         good = jnp.all(jnp.stack(list(finite.values())))
-        learned, moments = self.optimiser.descended(learned, gradient, state.optimiser, progress, good, origins)
+        learned, moments = self.optimiser.descended(learned, part.gradient, state.optimiser, progress, good, origins)
         model = eqx.combine(learned, held)
-        model = replace(model, sampler=model.sampler.with_met(met))
+        model = replace(model, sampler=model.sampler.with_met(part.met))
         return TrainState(model, moments, state.step + 1, state.skipped + jnp.where(good, 0, 1)), terms
 
     def kept_up(self, state: TrainState, seed: Int[Array, ""]) -> TrainState:

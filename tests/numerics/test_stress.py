@@ -69,6 +69,7 @@ def settings_of(rng: np.random.Generator, model: str, preset: str) -> tuple[Conf
     changes: dict[str, Any] = {
         "train": {"rate": varied(0.01), "final_rate": varied(0.001), "first_blur": float(rng.choice([0, 0.02, 0.3]))},
         "losses": {
+            "width": varied(0.01),
             "orientation": varied(0.1),
             "predicted_normals": varied(0.03),
             "density_normals": varied(0.03),

@@ -106,7 +106,7 @@ def graded(request: pytest.FixtureRequest) -> tuple[Model, Callable]:
         samples = RaySamples.from_edges(edges)
         cloud = cloud_of(rays, samples, space=BALL, footprint=Footprint())
         rendered, density = render(model.field, rays, samples, cloud)
-        terms = objective.photometric(rendered, some(16, 4), jnp.ones((16, 3)), jnp.ones(16, bool))
+        terms = objective.photometric(rendered, some(16, 4), jnp.ones((16, 3)), jnp.ones(16, bool), 1e-3)
         terms |= objective.distortion_term(rendered, samples, 0.01)
         terms |= objective.hollowness_term(rendered, density, samples, 0.1) | objective.fog_term(rendered, samples, 0.1)
         found = jax.lax.stop_gradient(find_surfaces(rendered.weights, samples, rays.radii, config.surface.rays))

@@ -84,7 +84,7 @@ def rendered(weights: list[list[float]], rgb: list[list[float]] | None = None) -
 
 def weights(**changed: float) -> LossConfig:
     nothing = dict.fromkeys(LossConfig.model_fields, 0.0)
-    return LossConfig(**{**nothing, "last_density_normals": None, **changed})
+    return LossConfig(**{**nothing, "last_density_normals": None, "width": 1e-3, **changed})
 
 
 def test_colours_count_over_the_background_for_used_rays_alone() -> None:
@@ -199,8 +199,8 @@ def test_a_saturated_channel_tells_no_more_than_the_least_light() -> None:
     colour = jnp.array([[1.0, 1.0, 0.5, 1.0], [1.0, 1.0, 0.5, 0.5]])
     background, used = jnp.ones((2, 3)), jnp.ones(2, bool)
     error = np.array([[0.2, -0.2, 0.0], [0.2, -0.2, -0.25]])
-    plain = objective.photometric(seen, colour, background, used)["mse"]
+    plain = objective.photometric(seen, colour, background, used, 0.01)["mse"]
     np.testing.assert_allclose(plain, np.mean(error**2), rtol=1e-5)
-    clipped = objective.photometric(seen, colour, background, used, True)["mse"]
+    clipped = objective.photometric(seen, colour, background, used, 0.01, True)["mse"]
     error[0, 0] = 0
     np.testing.assert_allclose(clipped, np.mean(error**2), rtol=1e-5)

@@ -1,4 +1,4 @@
-"""The step: accumulated batches, when a bias begins, several devices, memory. That models train is in test_every_model."""
+"""The step: when a bias begins, several devices, memory. That models train is in test_every_model."""
 
 import json
 import math
@@ -18,39 +18,14 @@ from koala3d.reconstruct import models
 from koala3d.reconstruct.kernels import native
 from koala3d.reconstruct.numerics.compiling import jit
 from koala3d.reconstruct.scene.facts import SceneFacts
-from koala3d.reconstruct.scene.rays import Normalisation, Pixels
+from koala3d.reconstruct.scene.rays import Normalisation
 from koala3d.reconstruct.surface.second_pass import SecondPass
 from koala3d.reconstruct.training.batches import Division
 from koala3d.reconstruct.training.faults import FAULTS
-from koala3d.reconstruct.training.optimiser import Optimiser
 from koala3d.reconstruct.training.step import Part, Step
 from tests.small import SIZES, Trainable, small
 
 FACTS = SceneFacts(Normalisation((0.0, 0.0, 0.0), 1.0, True, 0.5, 4.0))
-
-
-def test_accumulated_batches_step_by_their_mean_gradient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The stages are stand-ins: a gradient is a random number of its batch, and a descent takes the gradient for new weights."""
-    config = small("surfnerf_voxels", changes={"train": {"accumulate": 3}})
-
-    def begun(self, model, step, pixels, seed, progress, index):
-        value = jax.random.uniform(self._keys(step, seed, index)["pixels"])
-        gradient = jax.tree.map(lambda leaf: jnp.full_like(leaf, value), model.split()[0])
-        return Part(gradient, {"mse": value}, ((1000 * value).astype(jnp.int32)[None], value[None]), None, None)
-
-    monkeypatch.setattr(Step, "begun", begun)
-    monkeypatch.setattr(Optimiser, "descended", lambda self, learned, gradient, moments, *_: (gradient, moments))
-    pixels = Pixels(*(jnp.zeros(s) for s in ((1, 4), (1, 3))), jnp.zeros(1, jnp.int32), jnp.zeros((1, 3)), jnp.zeros(1))
-    step = replace(Step.of(config, FACTS), second_pass=None)
-    state = step.initial(jax.random.key(0))
-    known = np.isfinite(state.model.sampler.grid.density)
-    after, terms = step.compiled(state, pixels)(state, pixels, jnp.asarray(5), jnp.asarray(0.5, jnp.float32), 1, False)
-    keys = jax.random.split(jax.random.fold_in(jax.random.key(5), 0), 3)
-    values = [jax.random.uniform(jax.random.split(key, 4)[0]) for key in keys]
-    np.testing.assert_allclose(jax.tree.leaves(after.model.split()[0])[0], np.mean(values), rtol=1e-6)
-    np.testing.assert_allclose(terms["mse"], np.mean(values), rtol=1e-6)
-    changed = np.flatnonzero(known != np.isfinite(after.model.sampler.grid.density))
-    assert len(changed) == 0, "densities that are known are kept as maxima: unknown cells stay unknown"
 
 
 def test_the_bias_at_an_object_waits_until_two_fifths_of_the_training(monkeypatch: pytest.MonkeyPatch) -> None:
