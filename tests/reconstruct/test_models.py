@@ -166,10 +166,10 @@ def test_the_rows_of_the_paper_s_table() -> None:
     ("model", "changed"),
     [
         ("refnerf", {"losses.predicted_normals", "losses.density_normals"}),
-        ("zipnerf", {"losses.hollowness"}),
+        ("zipnerf", {"losses.width", "losses.hollowness"}),
         (
             "zip_refnerf",
-            {"losses.hollowness", "losses.predicted_normals", "losses.density_normals", "field.bottleneck"}
+            {"losses.width", "losses.hollowness", "losses.predicted_normals", "losses.density_normals", "field.bottleneck"}
             | {"losses.last_density_normals", "surface.normal_factor", "skip.reflection"},
         ),
     ],
