@@ -7,7 +7,7 @@ those with a key):
     2 to 20 %       a shape that begins as the masks' hull is let go
     0 to 80 %       the blur of samples shrinks (`blur_until`), and with it the finest levels come in
     from 4 %        among surroundings the grid rules out cells (`grid_from`)
-    8 to 18 %       solid objects are kept dense behind their surface
+    8 to 18 %       among surroundings what is solid is kept dense behind its surface
     10 to 20 %      corrections of poses begin to move
     from 20 %       light lost in front of a surface counts
     20 to 50 %      among surroundings ever more of the object's surfaces are where half the largest weight is (`share_from`)
