@@ -111,7 +111,11 @@ class SurfaceConfig(Schema):
 class LossConfig(Schema):
     """Losses taken over from Zip-NeRF and Ref-NeRF: the width of the photometric one, and weights of the others."""
 
-    width: float = setting(1e-3, "Colour error below which the photometric loss is quadratic, above which it is linear.", gt=0)
+    width: float = setting(
+        1e-3,
+        "Colour error below which the photometric loss is quadratic, above which it is linear; poses are learned with 0.001.",
+        gt=0,
+    )
     distortion: float = setting(0.0, "Weight: samples gather along a ray (real scenes: 0.01).", ge=0)
     hollowness: float = setting(0.0, "Weight: solid objects stay dense behind their surface.", ge=0)
     fog: float = setting(0.0, "Weight: rays lose no light in front of their surface.", ge=0)

@@ -26,6 +26,8 @@ Terms = dict[str, Float[Array, ""]]
 
 SATURATED = 254.5 / 255
 """sRGB from which a channel of eight bits is clipped."""
+POSE_WIDTH = 1e-3
+"""Width of the photometric loss at most, where poses are learned: small errors tell where a camera stood."""
 INTERLEVEL = 0.01
 """Weight with which proposals follow the final level (Zip-NeRF)."""
 POSE_PRIOR = 1e-5
@@ -70,8 +72,8 @@ class Objective:
         if model.per_image is not None:
             rendered = rendered.exposed(model.log_gains[rays.view])
         background = jax.random.uniform(background_key, (rays.origins.shape[0], 3))
-        clips, width = model.per_image is not None, self.weights.width
-        terms |= photometric(rendered, batch.colour, background, batch.used, width, clips)
+        width = self.weights.width if model.twists is None else min(self.weights.width, POSE_WIDTH)
+        terms |= photometric(rendered, batch.colour, background, batch.used, width, clips=model.per_image is not None)
         terms |= self.ray_terms(rendered, density, found, progress)
         surfaces = self.surfaces(rendered, found.samples, rays, progress, model.sampler.bounds.half_box)
         return total(terms), (terms, jax.lax.stop_gradient(density), surfaces)

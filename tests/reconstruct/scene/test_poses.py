@@ -200,7 +200,7 @@ def test_a_disabled_refinement_costs_nothing(
 
     def stages() -> list[str]:
         begun, part = jax.make_jaxpr(one_step.begun, return_shape=True)(state.model, state.step, pixels, *counts)
-        descended = jax.make_jaxpr(one_step.descended)(state, [part], pixels.origins, counts[1], counts[0])
+        descended = jax.make_jaxpr(one_step.descended)(state, part, pixels.origins, counts[1], counts[0])
         return [str(begun), str(descended)]
 
     complete = stages()

@@ -117,7 +117,7 @@ drawn = draw(state.model, pixels)
 said = {}
 if process == 0:  # all processes have the same program
     number, real = jax.ShapeDtypeStruct((), jnp.int32), jax.ShapeDtypeStruct((), jnp.float32)
-    program = traced(step.begun, (state.model, state.step, pixels, number, real, number), step.division).lower().compile()
+    program = traced(step.begun, (state.model, state.step, pixels, number, real), step.division).lower().compile()
     gathers = [line for line in program.as_text().splitlines() if re.search("= .* all-gather[(-]", line)]
     shapes = [re.search(r"\\[([0-9,]+)\\]", line)[1].split(",") for line in gathers]
     said["gathered"] = max([0] + [int(np.prod([int(n) for n in shape])) for shape in shapes])

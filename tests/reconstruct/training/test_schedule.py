@@ -43,8 +43,8 @@ def test_the_stages_of_a_default_training_are_those_of_the_table() -> None:
     assert at(among.bias, 0.4) == 0 < at(among.bias, 0.45) < at(among.bias, 0.51) == at(blank.bias, 0.0) == 1
     assert at(among.fog, 0.19) == 0 < at(among.fog, 0.21) and at(blank.fog, 0.5) == 0
     assert at(blank.gain, 0.02) == 0 < at(blank.gain, 0.11) < at(blank.gain, 0.2) == at(blank.gain, 1.0) == GAIN
+    np.testing.assert_allclose([at(among.hollowness, p) for p in (0.08, 0.18)], [0, 0.1])
     for schedule in (among, blank):
-        np.testing.assert_allclose([at(schedule.hollowness, p) for p in (0.08, 0.18)], [0, 0.1])
         np.testing.assert_allclose([at(schedule.density_normals, p) for p in (0.4, 0.6, 0.8)], [0.1, 0.3, 0.5], rtol=1e-6)
         np.testing.assert_allclose([at(schedule.blur, p) for p in (0, 0.8, 1)], [0.02, 0.002, 0.002], rtol=1e-5)
         np.testing.assert_allclose([at(schedule.pose_rate, p) for p in (0.1, 1)], [0, 0.001], rtol=1e-5)

@@ -81,7 +81,6 @@ def test_a_matte_object_has_a_light_for_each_place_and_a_regularised_shape() -> 
     assert config.field.appearance == "view_diffuse" and config.field.bottleneck == 8
     assert config.surface.bias == config.losses.density_normals == 0 and config.losses.last_density_normals is None
     assert config.surface.normal == 1 and config.surface.first_period == config.surface.last_period
-    assert config.losses.hollowness > 0
 
 
 def test_regularisers_stay_where_a_box_is_stated(make_scene: Callable[..., Scene]) -> None:
