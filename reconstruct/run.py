@@ -27,6 +27,8 @@ from koala3d.reconstruct.scene.rays import Normalisation
 
 FORMAT, VERSION = "koala-run", 1
 RUN, LOG, FAULTS, CHECKPOINTS, SKIPS = "run.json", "log.jsonl", "faults.jsonl", "checkpoints", "skips.json"
+GONE = {("train", "accumulate"): 1}
+"""Settings that runs of earlier versions have, with the value at which they changed nothing."""
 PICTURES = ".koala-pictures"
 """Folder beside a run; everything in it may be deleted."""
 
@@ -93,6 +95,9 @@ class Run:
         content = files.read_json(path / RUN, kind=FORMAT, version=VERSION)
         try:
             facts = SceneFacts.from_json(content["facts"])
+            for (section, key), idle in GONE.items():
+                if content["config"][section].get(key) == idle:
+                    del content["config"][section][key]
             config = Config.model_validate(content["config"])
             return cls(path, config, content["scene"], facts, content)
         except (KeyError, TypeError, ValueError) as error:
