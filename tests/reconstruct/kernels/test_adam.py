@@ -17,20 +17,12 @@ pytestmark = pytest.mark.usefixtures("kernels_run")
 RATE, SHRINKS = 0.01, 0.03
 
 
-@jax.jit
-def ours(gradient, parameter, mean, square, count, finite, shrinks=SHRINKS):
-    return adam.descended(
-        gradient,
-        parameter,
-        mean,
-        square,
-        decays=DECAYS,
-        smallest=SMALLEST,
-        shrinks=shrinks,
-        count=count + 1,
-        rate=jnp.float32(RATE),
-        finite=finite,
-    )
+def descended(gradient, parameter, mean, square, count, finite, shrinks=SHRINKS):
+    options = {"decays": DECAYS, "smallest": SMALLEST, "shrinks": shrinks, "rate": jnp.float32(RATE)}
+    return adam.descended(gradient, parameter, mean, square, count=count + 1, finite=finite, **options)
+
+
+ours = jax.jit(descended)
 
 
 @jax.jit
@@ -94,16 +86,7 @@ def test_what_is_given_stays_as_it_is_where_it_is_still_needed() -> None:
 
 def test_new_arrays_take_the_memory_of_the_old_in_a_loop() -> None:
     def steps(gradient, *state):
-        one = lambda i, s: adam.descended(  # noqa: E731
-            gradient,
-            *s,
-            decays=DECAYS,
-            smallest=SMALLEST,
-            shrinks=SHRINKS,
-            count=i + 1,
-            rate=jnp.float32(RATE),
-            finite=jnp.asarray(True),
-        )
+        one = lambda i, s: descended(gradient, *s, i, jnp.asarray(True))  # noqa: E731
         return jax.lax.fori_loop(0, 5, one, state)
 
     text = jax.jit(steps, donate_argnums=(1, 2, 3)).lower(*arrays((2, 32768))).compile().as_text()
