@@ -66,12 +66,52 @@ Points = Annotated[
     Path | None,
     typer.Option(help="With --turned: a text file with a line for each of three points of the object, x y z in both scenes."),
 ]
+Motion = Annotated[
+    Path | None,
+    typer.Option(
+        help="With --turned: shape.json of 'reconstruct compare-shape', in which B of both was placed on A; not outlines."
+    ),
+]
 
 
 def add_to(app: App) -> None:
     """Register the commands."""
     for command in (edit, merge):
         app.command(panel=MAIN)(command)
+
+
+@dataclass(frozen=True)
+class Known:
+    """What a person says of how the object was turned over; at most one of these."""
+
+    rough: tuple[float, float, float] | None
+    points: Path | None
+    motion: Path | None
+
+    def given(self) -> list[str]:
+        """The options that were used."""
+        return [f"--{name}" for name, value in vars(self).items() if value is not None]
+
+    def start(self) -> "NDArray[np.float64] | None":
+        """(3, 3) rotation or (4, 4) motion from which to look for the best; None: from everywhere. Raises UsageError or
+        DatasetError where what is said means nothing."""
+        if self.rough is not None:
+            import numpy as np
+
+            from koala3d.datasets import pose
+
+            return pose.from_rotation_vector(np.deg2rad(self.rough))[:3, :3]
+        if self.points is None:
+            return None
+        from koala3d.datasets.core.errors import DatasetError
+        from koala3d.datasets.edit.turned import by_points
+
+        try:
+            lines = self.points.read_text("utf-8").splitlines()
+            rows = [[float(word) for word in line.replace(",", " ").split()] for line in lines]
+            return by_points([row for row in rows if row])
+        except (OSError, ValueError) as error:
+            raise DatasetError("points cannot be read", where=self.points, why=str(error)) from None
 
 
 @dataclass
@@ -109,14 +149,18 @@ class Edit:
         self.lines.append(f"poses   {found.reason}; {moved}")
         return found.scene
 
-    def turned(self, a: "Scene", b: "Scene", out: Path, start: "NDArray[np.float64] | None") -> "Scene":
+    def turned(self, a: "Scene", b: "Scene", out: Path, known: "Known") -> "Scene":
         """Both sessions of an object that was turned over in between."""
-        from koala3d.datasets.edit.turned import joined
+        from koala3d.datasets.edit.turned import by_surfaces, joined
         from koala3d.datasets.scene import TURNED
-        from koala3d.datasets.turned.registration import registered, starts_of
+        from koala3d.datasets.turned.registration import placed, registered, starts_of
 
-        with console.progress("poses", len(starts_of(start)), "starts") as shown:
-            found = registered(a, b, start, done=shown.advance)
+        if known.motion is not None:
+            found = placed(a, b, *by_surfaces(known.motion))
+        else:
+            start = known.start()
+            with console.progress("poses", len(starts_of(start)), "starts") as shown:
+                found = registered(a, b, start, done=shown.advance)
         both = joined(a, b, found, out.resolve().name)
         shift, turn = found.deviations
         self.facts[TURNED] = {**both.provenance[TURNED], "deviations": {"shift": shift, "turn_rad": turn}}
@@ -192,6 +236,7 @@ def merge(
     turned: Turned = False,
     rough: Rough = None,
     points: Points = None,
+    motion: Motion = None,
     data_root: DataRoot = None,
     as_json: Json = False,
 ) -> None:
@@ -205,38 +250,17 @@ def merge(
 
     if turned and len(scenes) != 2:
         raise UsageError("an object is turned over between two sessions", where="--turned", why=f"{len(scenes)} scenes are given")
-    if not turned and (given := [name for name, value in (("--rough", rough), ("--points", points)) if value is not None]):
-        raise UsageError("is for an object that was turned over", where=given[0], remedy="add --turned, or leave it out")
-    start, made = _start(rough, points), Edit({}, [])
+    known, made = Known(rough, points, motion), Edit({}, [])
+    if given := known.given():
+        if not turned:
+            raise UsageError("is for an object that was turned over", where=given[0], remedy="add --turned, or leave it out")
+        if len(given) > 1:
+            raise UsageError(f"says the same as {given[1]}", where=given[0], remedy="leave one of them out")
     with ExitStack() as stack:
         others = [stack.enter_context(plain_masks(load_scene(name, data_root=data_root))) for name in scenes[1:]]
         if turned:
-            return _write(scenes[0], out, data_root, as_json, lambda s, *_: made.turned(s, others[0], out, start), made)
+            return _write(scenes[0], out, data_root, as_json, lambda s, *_: made.turned(s, others[0], out, known), made)
         _write(scenes[0], out, data_root, as_json, lambda s, folder, done: edit.merge([s, *others], out.resolve().name))
-
-
-def _start(rough: tuple[float, float, float] | None, points: Path | None) -> "NDArray[np.float64] | None":
-    """How the object was moved, as a person says it. Raises UsageError where that is said twice or means nothing."""
-    from koala3d.datasets.core.errors import UsageError
-
-    if rough is not None and points is not None:
-        raise UsageError("says the same as --points", where="--rough", remedy="leave one of them out")
-    if rough is not None:
-        import numpy as np
-
-        from koala3d.datasets import pose
-
-        return pose.from_rotation_vector(np.deg2rad(rough))[:3, :3]
-    if points is None:
-        return None
-    from koala3d.datasets.core.errors import DatasetError
-    from koala3d.datasets.edit.turned import by_points
-
-    try:
-        rows = [[float(word) for word in line.replace(",", " ").split()] for line in points.read_text("utf-8").splitlines()]
-        return by_points([row for row in rows if row])
-    except (OSError, ValueError) as error:
-        raise DatasetError("points cannot be read", where=points, why=str(error)) from None
 
 
 def _write(

@@ -1,13 +1,15 @@
 """One scene of two sessions of an object that was turned over: in the world of the first, without the table of either."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from koala3d.datasets import pose
-from koala3d.datasets.core.errors import UsageError
+from koala3d.datasets.core import files
+from koala3d.datasets.core.errors import DatasetError, UsageError
 from koala3d.datasets.edit.edit import merge
 from koala3d.datasets.process.world.similarity import Similarity, between
 from koala3d.datasets.scene import STATED, TURNED, Scene, View
@@ -32,6 +34,34 @@ def by_points(places: ArrayLike) -> NDArray[np.float64]:
         why = f"the triangle in a is {moved.scale:.2f} times as large as that in b"
         raise UsageError("points are not the same in both scenes", why=why, remedy="look at their order")
     return pose.rigid(moved.rotation, points[:, :3].mean(0) - moved.rotation @ points[:, 3:].mean(0))
+
+
+def by_surfaces(file: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Motion from b to a, the object's middle in a and the motion's covariance, as comparing the surfaces of both found them.
+
+    Args:
+        file: shape.json of `reconstruct compare-shape B A --align features`.
+
+    Raises:
+        DatasetError: the file is damaged or none of these.
+        UsageError: the surfaces fit in several poses, or B was not moved, or its size was changed.
+    """
+    content, remedy = files.read_json(file, kind="koala-shape", version=1), "reconstruct compare-shape B A --align features"
+    try:
+        found = content["aligned"]
+        if found["by"] == "base" or found["scale_removed"]:
+            why = "the difference in size was removed" if found["scale_removed"] else "B was left where it stands"
+            raise UsageError("is no motion of an object", where=file, why=why, remedy=remedy)
+        if found["ambiguous"]:
+            why = "another pose of the surfaces fits as well"
+            raise UsageError("how the object was turned cannot be told", where=file, why=why, remedy="give --points")
+        a_from_b = pose.checked(found["matrix"], where=f"{file}, matrix")
+        middle, covariance = np.array(found["middle"], np.float64).reshape(3), np.array(found["covariance"], np.float64)
+        if not (np.isfinite(middle).all() and np.linalg.eigvalsh(covariance.reshape(6, 6))[0] >= -1e-9 * np.trace(covariance)):
+            raise ValueError("not finite, or with a negative variance")
+    except (KeyError, TypeError, ValueError, np.linalg.LinAlgError) as error:
+        raise DatasetError("states no motion with its covariance", where=file, why=str(error), remedy=remedy) from None
+    return a_from_b, middle, covariance
 
 
 def joined(a: Scene, b: Scene, found: Registration, name: str) -> Scene:

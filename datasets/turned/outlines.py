@@ -20,6 +20,8 @@ SPECK = 0.02
 """Parts of a mask with a smaller share of the largest part's area are no part of the object."""
 SMALLEST = 100.0
 """Area of a mask that shows anything of a shape [px^2]."""
+LOW = 0.3
+"""Share of the object's height below which an outline is low: near what it stands on, masks are of its shadow as well."""
 FEWEST = 6
 """Views that show all of the object, at least: fewer leave the motion to single masks."""
 Array = NDArray[np.float64]
@@ -33,6 +35,8 @@ class Outlines:
     """(n, 3) of the cameras."""
     rays: Array
     """(n, k, 3) unit directions to the corners of the outlines' convex hulls; shorter lists repeat their first."""
+    low: NDArray[np.bool_]
+    """(n, k) whether a ray passes the object's middle near what the object stands on."""
     pixel: float
     """Width of a pixel of the masks, as they were read, at the object [world unit]; the median."""
     middle: Array
@@ -49,7 +53,8 @@ class Outlines:
         """Of so many views, spread evenly, with so many corners each, at most."""
         chosen = np.unique(np.linspace(0, len(self.centres) - 1, views).round().astype(int))
         kept = np.unique(np.linspace(0, self.rays.shape[1] - 1, corners).round().astype(int))
-        return Outlines(self.centres[chosen], self.rays[chosen][:, kept], self.pixel, self.middle, self.extent)
+        rays, low = self.rays[chosen][:, kept], self.low[chosen][:, kept]
+        return Outlines(self.centres[chosen], rays, low, self.pixel, self.middle, self.extent)
 
 
 def outlines_of(scene: Scene) -> Outlines:
@@ -81,7 +86,18 @@ def outlines_of(scene: Scene) -> Outlines:
     middle = np.linalg.solve(across.sum(0), np.einsum("nij,nj->i", across, places))
     away = np.linalg.norm(middle - places, axis=-1)
     radii = away * np.array([np.arccos(np.clip(one @ t, -1, 1)).mean() for one, t in zip(corners, towards, strict=True)])
-    return Outlines(places, rays, float(np.median(away * pixels)), middle, float(radii.mean()))
+    low = _heights(scene.box, places, rays, middle) < LOW
+    return Outlines(places, rays, low, float(np.median(away * pixels)), middle, float(radii.mean()))
+
+
+def _heights(box: Array, centres: Array, rays: Array, middle: Array) -> Array:
+    """(n, k) how high rays pass the object's middle, in heights of the object above the face of its box that no camera is behind."""
+    above = centres.mean(0) - middle
+    axis = int(np.abs(above).argmax())
+    along = np.sum((middle - centres)[:, None] * rays, -1)
+    passing = centres[:, None, axis] + along * rays[..., axis]
+    heights = passing - box[0, axis] if above[axis] > 0 else box[1, axis] - passing
+    return heights / max(float(np.percentile(heights, 99)), 1e-12)
 
 
 def _corners(view: View) -> Array | None:

@@ -26,6 +26,8 @@ NEARBY = np.deg2rad(25.0)
 """Turns about each axis from which the search also starts, if a person says roughly how the object was moved."""
 LOOSE = np.deg2rad(1.0)
 """Deviation of a turn from which it counts as not found."""
+ELSEWHERE = 0.5
+"""A motion belongs to other scenes if it takes the object's middle so far past where it is, in radii of the object."""
 SHAPES = {"a_from_b": (4, 4), "middle": (3,), "covariance": (6, 6)}
 """Of the arrays that a scene states of a registration."""
 
@@ -94,8 +96,8 @@ def registered(a: Scene, b: Scene, start: Array | None = None, *, done: Step = i
     """
     require_sessions(a, b)
     of_a, of_b = outlines_of(a), outlines_of(b)
-    fits = found(of_a, of_b, starts_of(start), done=done)
-    best, pairs, both = fits[0], Pairs(of_a, of_b), f"{a.name}, {b.name}"
+    pairs, fits = found(of_a, of_b, starts_of(start), done=done)
+    best, both = fits[0], f"{a.name}, {b.name}"
     if not best.misfit <= FITS:
         why = (
             f"in the best pose they miss one another by {best.misfit:.1f} px" if np.isfinite(best.misfit) else "too few are seen"
@@ -106,8 +108,34 @@ def registered(a: Scene, b: Scene, start: Array | None = None, *, done: Step = i
     covariance = None if rivals else pairs.covariance(best)
     if covariance is None or np.sqrt(np.trace(covariance[3:, 3:])) > LOOSE:
         raise UsageError("how the object was turned cannot be told", where=both, why=_ambiguity(best, rivals), remedy=_ADVICE)
-    _require_moved(best, of_a, of_b, both)
+    _require_moved(best.a_from_b, of_a, of_b, both)
     return Registration(best.a_from_b, of_a.middle, covariance, best.misfit)
+
+
+def placed(a: Scene, b: Scene, a_from_b: Array, middle: Array, covariance: Array) -> Registration:
+    """A motion that was found by other means, such as the surfaces of both sessions, after the checks that masks allow.
+
+    Args:
+        a_from_b, middle, covariance: see `Registration`.
+
+    Raises UsageError: the sessions do not fit together, masks are missing, or the motion is not of these two scenes.
+    """
+    require_sessions(a, b)
+    of_a, of_b, both = outlines_of(a), outlines_of(b), f"{a.name}, {b.name}"
+    apart = float(np.linalg.norm(a_from_b[:3, :3] @ of_b.middle + a_from_b[:3, 3] - of_a.middle))
+    if apart > ELSEWHERE * of_a.extent:
+        why = f"it takes the object to {apart:.3g} from where the masks of {a.name} show it"
+        remedy = "it must lead from the second scene to the first; look at their order"
+        raise UsageError("the motion is not of these scenes", where=both, why=why, remedy=remedy)
+    if (loose := np.sqrt(np.trace(covariance[3:, 3:]))) > LOOSE:
+        why = f"the turn is known to {np.rad2deg(loose):.2g} degrees"
+        raise UsageError("how the object was turned cannot be told", where=both, why=why, remedy=_ADVICE)
+    _require_moved(a_from_b, of_a, of_b, both)
+    misfit = Pairs(of_a, of_b).misfit(a_from_b)
+    if not np.isfinite(misfit):
+        remedy = "record more views from the side"
+        raise UsageError("too few outlines of the two scenes can be compared", where=both, remedy=remedy)
+    return Registration(a_from_b, middle, covariance, misfit)
 
 
 _ADVICE = "choose one with --points or --rough, or fix something to the object that shows at its outline"
@@ -130,9 +158,9 @@ def _ambiguity(best: Fit, rivals: list[Fit]) -> str:
     return f"its outlines look the same in {len(rivals) + 1} poses or more, turned against one another by {angles} degrees"
 
 
-def _require_moved(fit: Fit, a: Outlines, b: Outlines, both: str) -> None:
+def _require_moved(a_from_b: Array, a: Outlines, b: Outlines, both: str) -> None:
     """Raise UsageError where the object lies as it did: then these are two recordings of one pose."""
-    turn = float(pose.rotation_angle(fit.a_from_b))
+    turn = float(pose.rotation_angle(a_from_b))
     shift = float(np.linalg.norm(a.middle - b.middle))
     if turn < SAME_TURN and shift < SAME_SHIFT * a.extent:
         why = f"it was turned by {np.rad2deg(turn):.1f} degrees"

@@ -6,7 +6,8 @@ Each pair of a view of one session and a view of the other has two such planes, 
 through the cameras, as either outline tells them, must be the same. Times the object's distance from that line the difference
 is a length. Only the convex hull counts. A border that masks move outwards or inwards everywhere moves both angles, the more the
 farther the camera is: by how many pixels is found along with the motion, since masks of both sessions err alike and see opposite
-sides of the object from nearby.
+sides of the object from nearby. Near what the object stands on, a mask that was found in a picture is of its shadow as well. Planes
+that touch an outline there count only if asked for.
 """
 
 from dataclasses import dataclass
@@ -23,8 +24,8 @@ ASIDE = 0.05
 """A ray leaves the line through the cameras by an angle of this sine at least; else the object is on the line."""
 AWAY = 0.2
 """Distance of the object's middle from that line, in radii of the object, from which a pair is used."""
-FEWEST_PAIRS = 0.1
-"""Share of the pairs that must be usable."""
+FEWEST_PLANES = 0.05
+"""Share of the planes that must count."""
 CLIPPED = 8.0
 """Differences count as so many pixels at most: a mask may be wrong altogether, and a handle is seen by few pairs."""
 OUTLIER = 2.0
@@ -73,6 +74,8 @@ class Pairs:
 
     a: Outlines
     b: Outlines
+    low: bool = False
+    """Whether planes count that touch an outline near what the object stands on."""
 
     def _planes(self, a_from_b: Array) -> Planes:
         centres = self.b.centres @ np.swapaxes(a_from_b[..., :3, :3], -1, -2) + a_from_b[..., None, :3, 3]
@@ -85,12 +88,23 @@ class Pairs:
         return Planes(out, np.cross(line, out), away)
 
     def _touching(self, a_from_b: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """(n, m, 2, 3) rays of a, and of b in its own world, in the planes that touch; and the (n, m) pairs that have such."""
+        """(n, m, 2, 3) rays of a, and of b in its own world, in the planes that touch; and which of the (n, m, 2) planes count."""
         planes = self._planes(a_from_b)
-        of_a, good = _extremes(self.a.rays, planes.out, planes.up)
+        of_a, good = self._extremes(self.a, planes.out, planes.up)
         back = a_from_b[:3, :3]
-        of_b, other = _extremes(self.b.rays, np.swapaxes(planes.out @ back, 0, 1), np.swapaxes(planes.up @ back, 0, 1))
-        return of_a, np.swapaxes(of_b, 0, 1), good & other.T & (planes.away > AWAY * self.a.extent)
+        of_b, other = self._extremes(self.b, np.swapaxes(planes.out @ back, 0, 1), np.swapaxes(planes.up @ back, 0, 1))
+        aside = planes.away > AWAY * self.a.extent
+        return of_a, np.swapaxes(of_b, 0, 1), good & np.swapaxes(other, 0, 1) & aside[..., None]
+
+    def _extremes(self, outlines: Outlines, out: Array, up: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """(n, m, 2, 3) rays of outlines at the largest and the smallest angle from (n, m, 3) `out` towards `up`, and whether they
+        count: all rays of the view are on the side of `out`, where tangents rise with angles, and this one is not low."""
+        columns = np.swapaxes(outlines.rays, 1, 2)
+        along = out @ columns
+        tangents = up @ columns / np.maximum(along, 1e-12)
+        which = np.stack([tangents.argmax(-1), tangents.argmin(-1)], -1)
+        view = np.arange(len(outlines.rays))[:, None, None]
+        return outlines.rays[view, which], (along.min(-1) > ASIDE)[..., None] & (self.low | ~outlines.low[view, which])
 
     def _differences(self, a_from_b: Array, of_a: Array, of_b: Array) -> tuple[Array, Array]:
         """(..., n, m, 2) differences [world unit] by (..., 4, 4) motions, of the planes of rays from `_touching`; and what a
@@ -128,7 +142,7 @@ class Pairs:
         slopes = np.moveaxis(self._differences(ahead, of_a, of_b)[0] - plain, 0, -1) / self._steps
         found = plain - border * added
         scale = OUTLIER * max(spread(found[usable].ravel()), 1e-9 * self.a.extent)
-        return found, usable[..., None] / (1 + (found / scale) ** 2), np.concatenate([slopes, -added[..., None]], -1)
+        return found, usable / (1 + (found / scale) ** 2), np.concatenate([slopes, -added[..., None]], -1)
 
     def _normal(self, weights: Array, slopes: Array, found: Array) -> Array:
         """(7, 7) normal equations, with what is known of the border."""
@@ -157,7 +171,7 @@ class Pairs:
     def misfit(self, a_from_b: Array, border: float = 0.0) -> float:
         """See `Fit`."""
         found = self.differences(a_from_b, border) / self.a.pixel
-        if found.size < FEWEST_PAIRS * 2 * len(self.a.centres) * len(self.b.centres):
+        if found.size < FEWEST_PLANES * 2 * len(self.a.centres) * len(self.b.centres):
             return np.inf
         return float(np.sqrt(np.mean(np.minimum(np.abs(found), CLIPPED) ** 2)))
 
@@ -192,13 +206,3 @@ class Pairs:
 def spread(values: Array) -> float:
     """Robust standard deviation of values about zero; infinite of none."""
     return MAD * float(np.median(np.abs(values))) if values.size else np.inf
-
-
-def _extremes(rays: Array, out: Array, up: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """(n, m, 2, 3) of (n, k, 3) rays, those at the largest and the smallest angle from (n, m, 3) `out` towards `up`; and whether
-    all rays are on the side of `out`. Where they are, tangents rise with angles."""
-    columns = np.swapaxes(rays, 1, 2)
-    along = out @ columns
-    tangents = up @ columns / np.maximum(along, 1e-12)
-    which = np.stack([tangents.argmax(-1), tangents.argmin(-1)], -1)
-    return rays[np.arange(len(rays))[:, None, None], which], along.min(-1) > ASIDE

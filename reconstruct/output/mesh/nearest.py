@@ -43,6 +43,8 @@ class Planes:
     """From the point where plane and surface meet."""
     points: Float[np.ndarray, "n 3"]
     """Where they meet."""
+    triangles: Int[np.ndarray, " n"]
+    """On which they meet."""
     at_an_edge: Bool[np.ndarray, " n"]
     """Whether the surface ends there."""
 
@@ -82,9 +84,10 @@ class Nearest:
     def planes(self, points: Float[np.ndarray, "n 3"]) -> Planes:
         """Tangent planes of the surface near points: of the closest of the drawn points, which is fast and nearly the closest."""
         distance, which = self._places[0][0].query(points)
-        normals = np.asarray(self.mesh.face_normals)[self._drawn.triangles[which]]
+        triangles = self._drawn.triangles[which]
+        normals = np.asarray(self.mesh.face_normals)[triangles]
         height = np.sum((points - self._drawn.points[which]) * normals, -1)
-        return Planes(height, normals, distance, self._drawn.points[which], self._ends[which])
+        return Planes(height, normals, distance, self._drawn.points[which], triangles, self._ends[which])
 
     def some(self, count: int) -> Float[np.ndarray, "count 3"]:
         """Some of the drawn points."""

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from koala3d.datasets import pose
 from koala3d.datasets.core.errors import UsageError
 from koala3d.reconstruct.output.mesh.nearest import Nearest
-from koala3d.reconstruct.output.shape.motion import Fit, Samples, closest
+from koala3d.reconstruct.output.shape.motion import Fit, Samples, Target, closest
 from koala3d.reconstruct.output.shape.stated import Stated
 
 By = Literal["base", "features", "icp"]
@@ -51,14 +51,15 @@ class Aligned:
     def to_json(self) -> dict[str, Any]:
         """For a file."""
         kept = ("by", "moved_m", "turned_deg", "scale", "scale_std", "would_move_m", "ambiguous")
-        return {name: getattr(self, name) for name in kept} | {"matrix": self.fit.matrix.tolist()}
+        fit = {name: getattr(self.fit, name).tolist() for name in ("matrix", "middle", "covariance")}
+        return {name: getattr(self, name) for name in kept} | fit
 
 
-def align(first: Stated, second: Stated, target: Nearest, *, by: By | None = None, scaled: bool = False) -> Aligned:
+def align(first: Stated, second: Stated, nearest: Nearest, *, by: By | None = None, scaled: bool = False) -> Aligned:
     """Place the first surface on the second.
 
     Args:
-        target: of the second surface's mesh.
+        nearest: of the second surface's mesh.
         by: `base` leaves it where it is, `icp` begins there, `features` tries everywhere. None: where they overlap as they stand,
             `base` if both have errors stated, as meshes of runs do that are in their robot's frame, else `icp`; `features`
             where they do not overlap.
@@ -67,8 +68,8 @@ def align(first: Stated, second: Stated, target: Nearest, *, by: By | None = Non
     Raises UsageError: they do not overlap; their sizes suggest different units.
     """
     check_units(first, second)
-    samples, still = _drawn(first), Fit(np.eye(4), 1.0, 0.0, 0.0)
-    overlap = float(np.median(target.planes(samples.some(FEW).points).distance)) < OVERLAP * second.size
+    samples, target, middle = _drawn(first), Target(nearest, second.variance), first.mesh.bounds.mean(0)
+    overlap = float(np.median(nearest.planes(samples.some(FEW).points).distance)) < OVERLAP * second.size
     if by is None:
         stated = first.deviation is not None and second.deviation is not None
         by = "features" if not overlap else "base" if stated else "icp"
@@ -81,11 +82,11 @@ def align(first: Stated, second: Stated, target: Nearest, *, by: By | None = Non
         why = f"at their best fit they are usually {1e3 * fit.usual:.3g} mm apart"
         raise UsageError("the surfaces do not fit", where=f"{first.name}, {second.name}", why=why, remedy="compare one object")
     with_scale = closest(samples, target, fit.matrix, scaled=True)
-    middle = first.mesh.bounds.mean(0)
     would = fit.motion(middle)[0]
     if scaled:
         fit = with_scale
     if by == "base":
+        still = Fit(np.eye(4), 1.0, 0.0, middle, np.zeros((6, 6)))
         fit = _about(still, with_scale.scale, middle) if scaled else still
     moved, turned = fit.motion(middle)
     return Aligned(by, fit, with_scale.scale, with_scale.scale_std, moved, turned, would, ambiguous)
@@ -109,7 +110,8 @@ def _drawn(surface: Stated) -> Samples:
 
     points, faces = sample_surface(surface.mesh, POINTS, seed=1)[:2]
     order = np.random.default_rng(0).permutation(len(points))
-    return Samples(np.asarray(points)[order], np.asarray(surface.mesh.face_normals)[faces][order])
+    faces = faces[order]
+    return Samples(np.asarray(points)[order], np.asarray(surface.mesh.face_normals)[faces], surface.variance[faces])
 
 
 def _about(fit: Fit, scale: float, middle: Float[np.ndarray, " 3"]) -> Fit:
@@ -120,7 +122,7 @@ def _about(fit: Fit, scale: float, middle: Float[np.ndarray, " 3"]) -> Fit:
     return replace(fit, matrix=matrix, scale=scale)
 
 
-def _found(samples: Samples, target: Nearest, first: Stated, second: Stated) -> tuple[Float[np.ndarray, "4 4"], bool]:
+def _found(samples: Samples, target: Target, first: Stated, second: Stated) -> tuple[Float[np.ndarray, "4 4"], bool]:
     """A pose to begin at, and whether one that is turned otherwise fits as well.
 
     Features of the whole surfaces are compared: their middles, put on each other, and all rotations about them, improved in a few
@@ -130,7 +132,7 @@ def _found(samples: Samples, target: Nearest, first: Stated, second: Stated) -> 
     turns = pose.rotations(TURNS)
     starts = np.tile(np.eye(4), (TURNS, 1, 1))
     starts[:, :3, :3], starts[:, :3, 3] = turns, second.mesh.centroid - turns @ first.mesh.centroid
-    followed = [closest(few, target, start, steps=30) for start in _improved(starts, samples.some(LEAST).points, target)]
+    followed = [closest(few, target, start, steps=30) for start in _improved(starts, samples.some(LEAST).points, target.nearest)]
     misfits = [_misfit(fit, few, target) for fit in followed]
     chosen = followed[int(np.argmin(misfits))]
     others = [_turned(fit, chosen) for fit, misfit in zip(followed, misfits, strict=True) if misfit < AS_GOOD * min(misfits)]
@@ -165,8 +167,8 @@ def _turned(one: Fit, other: Fit) -> float:
     return float(np.rad2deg(pose.difference(one.matrix, other.matrix)[1]))
 
 
-def _misfit(fit: Fit, samples: Samples, target: Nearest) -> float:
+def _misfit(fit: Fit, samples: Samples, target: Target) -> float:
     """Mean distance of the nine tenths of the points that are nearest [m]."""
-    found = target.planes(fit.moved(samples.points))
+    found = target.nearest.planes(fit.moved(samples.points))
     distance = np.sort(np.minimum(np.abs(found.height) + 0.1 * found.distance, found.distance))
     return float(distance[: int(0.9 * len(distance))].mean())

@@ -26,7 +26,8 @@ DEFINITIONS = {
     "deviation is that at its core, its position is in the frame of B",
     "not_compared_share": "share of A's area beyond the edges of B, or where nothing is known of either surface",
     "aligned": "by: base, A was left where it stands in the frame of both; icp, A was moved from there; features, A was placed "
-    "where it fits; scale: size of A relative to B, removed if scale_removed says so; would_move_m: how far icp moves A",
+    "where it fits; scale: size of A relative to B, removed if scale_removed says so; would_move_m: how far icp moves A; matrix: "
+    "takes points of A to B; covariance: of its error, a shift of A's middle on B [m^2] first, then a turn about it [rad^2]",
 }
 
 

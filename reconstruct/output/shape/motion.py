@@ -2,7 +2,8 @@
 
 Points of one surface are moved by a rotation, a translation and, on request, a scale s so that the distances to the tangent
 planes of their closest points on the other become small (Chen and Medioni 1992). Far points count less, and beyond a few times
-the usual distance nothing (Tukey's biweight): a dent, or what only one of them has, does not pull.
+the usual distance nothing (Tukey's biweight): a dent, or what only one of them has, does not pull. Where errors are stated, the
+better known pulls more, and what is not known not at all.
 """
 
 from dataclasses import dataclass
@@ -21,10 +22,12 @@ FAR = 0.02
 """Distance, in sizes of the surface, from which it counts as it is, not across the tangent plane alone."""
 SAME_WAY = 0.2
 """Least cosine between the normals of points that correspond."""
+UNSTATED = 0.25
+"""Share of the square of the usual distance that is added to stated variances: of errors that nobody states."""
 DAMPING = 1e-4
 """Share of the mean information that is added: a ball may turn without any point coming closer, and does not."""
 GROUPS = 24
-"""Patches of which one at a time is left out to find how certain the scale is: errors agree within a patch."""
+"""Patches of which one at a time is left out to find how certain a fit is: errors agree within a patch."""
 
 
 @dataclass(frozen=True)
@@ -35,10 +38,18 @@ class Fit:
     """Moves points of the first onto the second: x -> matrix x, with its scale."""
     scale: float
     """Size of the first surface relative to the second, so the matrix scales by 1 / scale."""
-    scale_std: float
-    """From how much patches of the surface disagree; 0 where no scale was fitted."""
     usual: float
     """Robust standard deviation of the distances that are left [m]."""
+    middle: Float[np.ndarray, " 3"]
+    """Of the first surface, where it lies on the second."""
+    covariance: Float[np.ndarray, "k k"]
+    """Of the error: a shift of `middle` [m], a turn about it [rad] and, if it was fitted, the logarithm of the scale. From how
+    much patches of the surface disagree."""
+
+    @property
+    def scale_std(self) -> float:
+        """Relative standard deviation; 0 where no scale was fitted."""
+        return float(np.sqrt(self.covariance[6, 6])) if len(self.covariance) > 6 else 0.0
 
     def moved(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
         """Points of the first surface on the second."""
@@ -56,41 +67,53 @@ class Samples:
 
     points: Float[np.ndarray, "n 3"]
     normals: Float[np.ndarray, "n 3"]
+    variance: Float[np.ndarray, " n"]
+    """Of the place along the normal, as stated [m^2]; infinite where nothing is known."""
 
     def some(self, count: int) -> "Samples":
         """The first `count`: they are in random order."""
-        return Samples(self.points[:count], self.normals[:count])
+        return Samples(self.points[:count], self.normals[:count], self.variance[:count])
+
+
+@dataclass(frozen=True)
+class Target:
+    """A surface on which others are placed."""
+
+    nearest: Nearest
+    variance: Float[np.ndarray, " f"]
+    """Of each triangle, as in `Samples`."""
 
 
 def closest(
-    samples: Samples, target: Nearest, start: Float[np.ndarray, "4 4"], *, scaled: bool = False, steps: int = STEPS
+    samples: Samples, target: Target, start: Float[np.ndarray, "4 4"], *, scaled: bool = False, steps: int = STEPS
 ) -> Fit:
     """Fit that begins at `start`, a rigid motion or a similarity."""
     matrix, size = np.asarray(start, np.float64).copy(), float(np.linalg.norm(np.ptp(samples.points, axis=0)))
-    usual, system = 0.0, None
     for _ in range(steps):
         rotation, scale = _parts(matrix)
         here = samples.points @ matrix[:3, :3].T + matrix[:3, 3]
-        found = target.planes(here)
-        fits = (np.sum((samples.normals @ rotation.T) * found.normals, -1) > SAME_WAY) & ~found.at_an_edge
+        found = target.nearest.planes(here)
+        unsure = samples.variance + target.variance[found.triangles]
+        fits = (np.sum((samples.normals @ rotation.T) * found.normals, -1) > SAME_WAY) & ~found.at_an_edge & np.isfinite(unsure)
+        middle = here.mean(0)
         if fits.sum() < 20:
-            return Fit(matrix, 1 / scale, 0.0, np.inf)
+            return Fit(matrix, 1 / scale, np.inf, middle, np.full((6, 6), np.inf))
         apart = np.where(found.distance < FAR * size, np.abs(found.height), found.distance)
         usual = 1.4826 * float(np.median(apart[fits]))
         share = np.minimum(apart / max(WIDTH * usual, 1e-9 * size), 1)
-        weights, across = np.where(fits, (1 - share**2) ** 2, 0.0), found.normals
-        middle = here.mean(0)
+        known = 1 / (UNSTATED + unsure / max(usual, 1e-9 * size) ** 2)
+        weights, across = np.where(fits, known * (1 - share**2) ** 2, 0.0), found.normals
         arm = (here - middle) / size
-        columns = np.concatenate([np.cross(arm, across), across, np.sum(arm * across, -1, keepdims=True)], -1)
+        columns = np.concatenate([across, np.cross(arm, across), np.sum(arm * across, -1, keepdims=True)], -1)
         if not scaled:
             columns = columns[:, :6]
-        system = columns, found.height / size, weights, samples.points
         step = _solved(columns, found.height / size, weights)
         matrix = _applied(step, middle, size) @ matrix
         if np.abs(step).max() < ENOUGH:
             break
-    spread = _spread(*system) if scaled and system is not None else 0.0
-    return Fit(matrix, 1 / _parts(matrix)[1], spread, usual)
+    lengths = np.array([size] * 3 + [1.0] * (columns.shape[1] - 3))
+    covariance = _covariance(columns, found.height / size, weights, samples.points) * lengths[:, None] * lengths
+    return Fit(matrix, 1 / _parts(matrix)[1], usual, middle, covariance)
 
 
 def _parts(matrix: Float[np.ndarray, "4 4"]) -> tuple[Float[np.ndarray, "3 3"], float]:
@@ -102,8 +125,8 @@ def _parts(matrix: Float[np.ndarray, "4 4"]) -> tuple[Float[np.ndarray, "3 3"], 
 def _applied(step: Float[np.ndarray, " k"], middle: Float[np.ndarray, " 3"], size: float) -> Float[np.ndarray, "4 4"]:
     """The motion of a step: turned and scaled about the middle, then moved."""
     found = np.eye(4)
-    found[:3, :3] = Rotation.from_rotvec(step[:3]).as_matrix() * (np.exp(step[6]) if len(step) > 6 else 1.0)
-    found[:3, 3] = middle + size * step[3:6] - found[:3, :3] @ middle
+    found[:3, :3] = Rotation.from_rotvec(step[3:6]).as_matrix() * (np.exp(step[6]) if len(step) > 6 else 1.0)
+    found[:3, 3] = middle + size * step[:3] - found[:3, :3] @ middle
     return found
 
 
@@ -117,13 +140,13 @@ def _solved(
     return np.linalg.solve(information + damping * np.eye(len(information)), -pull @ left)
 
 
-def _spread(
-    columns: Float[np.ndarray, "n 7"], left: Float[np.ndarray, " n"], weights: Float[np.ndarray, " n"], points: np.ndarray
-) -> float:
-    """Standard deviation of the logarithm of the scale: the delete-a-group jackknife (Shao and Tu 1995, section 2.3)."""
+def _covariance(
+    columns: Float[np.ndarray, "n k"], left: Float[np.ndarray, " n"], weights: Float[np.ndarray, " n"], points: np.ndarray
+) -> Float[np.ndarray, "k k"]:
+    """Of the step that is solved for: the delete-a-group jackknife (Shao and Tu 1995, section 2.3)."""
     group = _groups(points)
-    found = [_solved(columns[group != one], left[group != one], weights[group != one])[6] for one in range(GROUPS)]
-    return float(np.sqrt((GROUPS - 1) * np.var(found)))
+    found = [_solved(columns[group != one], left[group != one], weights[group != one]) for one in range(GROUPS)]
+    return (GROUPS - 1) * np.cov(np.array(found).T, bias=True)
 
 
 def _groups(points: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, " n"]:

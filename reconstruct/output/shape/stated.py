@@ -46,6 +46,14 @@ class Stated:
         """Diagonal of its box [m]."""
         return float(np.linalg.norm(self.mesh.extents))
 
+    @property
+    def variance(self) -> Float[np.ndarray, " f"]:
+        """Of each triangle along its normal [m^2]: 0 where nothing is stated, infinite where nothing is known."""
+        here = np.zeros(len(self.mesh.vertices)) if self.deviation is None else np.square(self.deviation, dtype=np.float64)
+        if self.known is not None:
+            here = np.where(self.known, here, np.inf)
+        return here[np.asarray(self.mesh.faces)].mean(1)
+
 
 def read(path: Path, *, unit: Unit = "m", stands_on: str | None = None) -> Stated:
     """The surface of a run, extracted as `reconstruct mesh` does, or of a file in which a unit of length is `unit`.

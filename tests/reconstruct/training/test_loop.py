@@ -85,21 +85,21 @@ def test_a_resumed_training_ends_at_the_same_bits(
 
 
 @pytest.mark.usefixtures("two_steps_at_once")
-def test_the_motion_of_an_object_that_was_turned_over_is_free_unless_poses_are_not(
+def test_the_motion_of_an_object_that_was_turned_over_is_free_where_it_is_known_badly(
     ball_scene: tuple[Scene, Path], config: Config, tmp_path: Path
 ) -> None:
-    koala.save(of_two_sessions(ball_scene[0]), tmp_path / "whole")
-    scene = load_scene(tmp_path / "whole")
-    for poses in ("auto", False):
-        run = tmp_path / f"run_{poses}"
-        train(scene, tmp_path / "whole", merged_config(config, {"poses": {"enabled": poses}}), run)
+    for name, times, poses, free in (("badly", 100, "auto", True), ("well", 1, "auto", False), ("held", 100, False, False)):
+        folder, run = tmp_path / f"{name}_scene", tmp_path / name
+        koala.save(of_two_sessions(ball_scene[0], times=times), folder)
+        train(load_scene(folder), folder, merged_config(config, {"poses": {"enabled": poses}}), run)
         trained = TrainedModel.open(run)
-        assert (
-            (trained.run.facts.session is None) == (trained.model.session is None) == (not poses) == (not (run / POSES).exists())
-        )
-    free = Run.open(tmp_path / "run_auto").facts.session
-    assert free is not None and [any(row) for row in free] == [False, False, True, True]
-    start(scene, tmp_path / "whole", config, tmp_path / "again", start_from=Run.open(tmp_path / "run_auto"))
+        assert (trained.run.facts.session is not None) == (trained.model.session is not None) == free == (run / POSES).exists()
+        (decision,) = [skip for skip in files.read_json(run / "skips.json") if skip["name"] == "poses"]
+        assert decision["evidence"].endswith("px and corrected" if free else "px and kept"), decision
+    session = Run.open(tmp_path / "badly").facts.session
+    assert session is not None and [any(row) for row in session] == [False, False, True, True]
+    folder = tmp_path / "badly_scene"
+    start(load_scene(folder), folder, config, tmp_path / "again", start_from=Run.open(tmp_path / "badly"))
 
 
 def test_steps_that_are_not_finite_are_left_out_and_end_the_training_where_they_recur(
