@@ -91,7 +91,7 @@ def outlines_of(scene: Scene) -> Outlines:
 
 
 def _heights(box: Array, centres: Array, rays: Array, middle: Array) -> Array:
-    """(n, k) how high rays pass the object's middle, in heights of the object above the face of its box that no camera is behind."""
+    """(n, k) how high rays pass the object's middle above the face of its box away from the cameras, in heights of the object."""
     above = centres.mean(0) - middle
     axis = int(np.abs(above).argmax())
     along = np.sum((middle - centres)[:, None] * rays, -1)

@@ -6,8 +6,8 @@ Each pair of a view of one session and a view of the other has two such planes, 
 through the cameras, as either outline tells them, must be the same. Times the object's distance from that line the difference
 is a length. Only the convex hull counts. A border that masks move outwards or inwards everywhere moves both angles, the more the
 farther the camera is: by how many pixels is found along with the motion, since masks of both sessions err alike and see opposite
-sides of the object from nearby. Near what the object stands on, a mask that was found in a picture is of its shadow as well. Planes
-that touch an outline there count only if asked for.
+sides of the object from nearby. Near what the object stands on, a mask that was found in a picture is of its shadow as well.
+Planes that touch an outline there count only if asked for.
 """
 
 from dataclasses import dataclass
@@ -88,7 +88,7 @@ class Pairs:
         return Planes(out, np.cross(line, out), away)
 
     def _touching(self, a_from_b: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """(n, m, 2, 3) rays of a, and of b in its own world, in the planes that touch; and which of the (n, m, 2) planes count."""
+        """(n, m, 2, 3) rays of a, and of b in its own world, in the planes that touch; and (n, m, 2) which planes count."""
         planes = self._planes(a_from_b)
         of_a, good = self._extremes(self.a, planes.out, planes.up)
         back = a_from_b[:3, :3]

@@ -69,7 +69,11 @@ def prepare(
     pixels, pool = training_pixels(views, normalisation, config.scale, copies)
     matches = matches_of(scene, views, config) if fresh else None
     skips: list[Skip] = []
-    session = poses.session_of(scene, normalisation) if known is None and pose_decision.corrects_motion(config, scene) else None
+    session = (
+        poses.session_of(scene, normalisation)
+        if known is None and pose_decision.corrects_motion(config.poses.enabled, scene)
+        else None
+    )
     if fresh:
         config, refined = pose_decision.decided(config, matches, scene, normalisation)
         skips.append(refined)

@@ -18,6 +18,7 @@ from koala3d.reconstruct.scene.facts import SceneFacts
 from koala3d.reconstruct.scene.poses import session_of
 from koala3d.reconstruct.scene.rays import Normalisation
 from koala3d.reconstruct.training.decisions.decide import normalisation_of
+from koala3d.reconstruct.training.decisions.poses import corrects_motion
 from koala3d.reconstruct.training.step import TrainState
 
 WEIGHTS = "weights_from"
@@ -53,7 +54,8 @@ def facts_of_series(scene: Scene, run: Run) -> SceneFacts:
         why = f"its box has the middle {_words(found)}, the run's {_words(known)}"
         raise UsageError("scene does not lie as the run's", where=scene.name, why=why, remedy=remedy)
     normalisation = replace(known, near=found.near, far=found.far)
-    return replace(run.facts, normalisation=normalisation, log_gains=None, session=session_of(scene, normalisation))
+    session = session_of(scene, normalisation) if corrects_motion("auto", scene) else None
+    return replace(run.facts, normalisation=normalisation, log_gains=None, session=session)
 
 
 def _words(normalisation: Normalisation) -> str:

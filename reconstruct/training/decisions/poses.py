@@ -4,6 +4,8 @@ Reflections that move over an object look the same as cameras that are not where
 pictures show an object alone. How an object was turned over is corrected where it is known less well than pictures could tell.
 """
 
+from typing import Literal
+
 import numpy as np
 
 from koala3d.datasets.scene import TURNED, Scene
@@ -22,11 +24,11 @@ FREE_PX = 0.5
 """Deviation of the motion of an object that was turned over, in pixels at its surface, from which training corrects it."""
 
 
-def corrects_motion(config: Config, scene: Scene) -> bool:
-    """Whether the motion of an object that was turned over is free while the scene is trained."""
-    if TURNED not in scene.provenance or config.poses.enabled is False:
+def corrects_motion(wanted: bool | Literal["auto"], scene: Scene) -> bool:
+    """Whether the motion of an object that was turned over is free while the scene is trained, if `poses.enabled` is `wanted`."""
+    if TURNED not in scene.provenance or wanted is False:
         return False
-    return config.poses.enabled is True or motion_px(scene) >= FREE_PX
+    return wanted is True or motion_px(scene) >= FREE_PX
 
 
 def motion_px(scene: Scene) -> float:
@@ -47,7 +49,7 @@ def decided(config: Config, matches: Matches | None, scene: Scene, normalisation
     """
     wanted, found, motion = config.poses.enabled, None, ""
     if TURNED in scene.provenance:
-        done = "corrected" if corrects_motion(config, scene) else "kept"
+        done = "corrected" if corrects_motion(wanted, scene) else "kept"
         motion = f"; how the object was turned over is known to {motion_px(scene):.2g} px and {done}"
     if wanted == "auto":
         found = None if matches is None or normalisation.bounded or CALIBRATED in scene.provenance else reprojection_of(matches)
