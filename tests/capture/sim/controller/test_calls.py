@@ -131,6 +131,7 @@ def test_a_motion_ends_where_it_should(arm: Clients, call: str) -> None:
     assert getattr(arm.control, call)(wanted, 1.0, 2.0)
     until(lambda: arm.arrived(goal) and arm.at_rest(), f"the end of {call}")
     until(lambda: np.allclose(pose_from_six(arm.tool), pose_there, rtol=0, atol=1e-4), "a state sent after that")
+    np.testing.assert_allclose(pose_from_six(arm.tool), pose_there, atol=1e-4)
 
 
 def test_a_line_of_the_tool_is_straight(arm: Clients) -> None:
