@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from koala3d.datasets.process.world.alignment import Wishes
     from koala3d.datasets.scene import Scene
+    from koala3d.datasets.turned.registration import Registration
 
 POSES, VIEWS, PICTURES = "Poses, by the pictures", "Views", "Pictures, in this order"
 Change = Callable[["Scene", Path, Callable[[], None]], "Scene"]
@@ -69,7 +70,7 @@ Points = Annotated[
 Motion = Annotated[
     Path | None,
     typer.Option(
-        help="With --turned: shape.json of 'reconstruct compare-shape', in which B of both was placed on A; not outlines."
+        help="With --turned: shape.json of 'reconstruct compare-shape B A --align features'; outlines are then not compared."
     ),
 ]
 
@@ -78,40 +79,6 @@ def add_to(app: App) -> None:
     """Register the commands."""
     for command in (edit, merge):
         app.command(panel=MAIN)(command)
-
-
-@dataclass(frozen=True)
-class Known:
-    """What a person says of how the object was turned over; at most one of these."""
-
-    rough: tuple[float, float, float] | None
-    points: Path | None
-    motion: Path | None
-
-    def given(self) -> list[str]:
-        """The options that were used."""
-        return [f"--{name}" for name, value in vars(self).items() if value is not None]
-
-    def start(self) -> "NDArray[np.float64] | None":
-        """(3, 3) rotation or (4, 4) motion from which to look for the best; None: from everywhere. Raises UsageError or
-        DatasetError where what is said means nothing."""
-        if self.rough is not None:
-            import numpy as np
-
-            from koala3d.datasets import pose
-
-            return pose.from_rotation_vector(np.deg2rad(self.rough))[:3, :3]
-        if self.points is None:
-            return None
-        from koala3d.datasets.core.errors import DatasetError
-        from koala3d.datasets.edit.turned import by_points
-
-        try:
-            lines = self.points.read_text("utf-8").splitlines()
-            rows = [[float(word) for word in line.replace(",", " ").split()] for line in lines]
-            return by_points([row for row in rows if row])
-        except (OSError, ValueError) as error:
-            raise DatasetError("points cannot be read", where=self.points, why=str(error)) from None
 
 
 @dataclass
@@ -149,16 +116,17 @@ class Edit:
         self.lines.append(f"poses   {found.reason}; {moved}")
         return found.scene
 
-    def turned(self, a: "Scene", b: "Scene", out: Path, known: "Known") -> "Scene":
-        """Both sessions of an object that was turned over in between."""
-        from koala3d.datasets.edit.turned import by_surfaces, joined
+    def turned(
+        self, a: "Scene", b: "Scene", out: Path, start: "NDArray[np.float64] | None", known: "Registration | None"
+    ) -> "Scene":
+        """Both sessions of an object that was turned over in between; see `registered` and `placed`."""
+        from koala3d.datasets.edit.turned import joined
         from koala3d.datasets.scene import TURNED
         from koala3d.datasets.turned.registration import placed, registered, starts_of
 
-        if known.motion is not None:
-            found = placed(a, b, *by_surfaces(known.motion))
+        if known is not None:
+            found = placed(a, b, known)
         else:
-            start = known.start()
             with console.progress("poses", len(starts_of(start)), "starts") as shown:
                 found = registered(a, b, start, done=shown.advance)
         both = joined(a, b, found, out.resolve().name)
@@ -245,22 +213,44 @@ def merge(
     With --turned: of two sessions of an object that was turned over in between. How, is found by the outlines of its masks."""
     from koala3d.datasets.core.errors import UsageError
     from koala3d.datasets.edit import edit
+    from koala3d.datasets.edit.turned import by_surfaces
     from koala3d.datasets.formats import load_scene
     from koala3d.datasets.formats.links import plain_masks
 
     if turned and len(scenes) != 2:
         raise UsageError("an object is turned over between two sessions", where="--turned", why=f"{len(scenes)} scenes are given")
-    known, made = Known(rough, points, motion), Edit({}, [])
-    if given := known.given():
+    said = {"--rough": rough, "--points": points, "--motion": motion}
+    if given := [name for name, value in said.items() if value is not None]:
         if not turned:
             raise UsageError("is for an object that was turned over", where=given[0], remedy="add --turned, or leave it out")
         if len(given) > 1:
             raise UsageError(f"says the same as {given[1]}", where=given[0], remedy="leave one of them out")
+    start, known, made = _start(rough, points), None if motion is None else by_surfaces(motion), Edit({}, [])
     with ExitStack() as stack:
         others = [stack.enter_context(plain_masks(load_scene(name, data_root=data_root))) for name in scenes[1:]]
         if turned:
-            return _write(scenes[0], out, data_root, as_json, lambda s, *_: made.turned(s, others[0], out, known), made)
+            return _write(scenes[0], out, data_root, as_json, lambda s, *_: made.turned(s, others[0], out, start, known), made)
         _write(scenes[0], out, data_root, as_json, lambda s, folder, done: edit.merge([s, *others], out.resolve().name))
+
+
+def _start(rough: tuple[float, float, float] | None, points: Path | None) -> "NDArray[np.float64] | None":
+    """How the object was moved, as a person says it. Raises UsageError or DatasetError where that means nothing."""
+    if rough is not None:
+        import numpy as np
+
+        from koala3d.datasets import pose
+
+        return pose.from_rotation_vector(np.deg2rad(rough))[:3, :3]
+    if points is None:
+        return None
+    from koala3d.datasets.core.errors import DatasetError
+    from koala3d.datasets.edit.turned import by_points
+
+    try:
+        rows = [[float(word) for word in line.replace(",", " ").split()] for line in points.read_text("utf-8").splitlines()]
+        return by_points([row for row in rows if row])
+    except (OSError, ValueError) as error:
+        raise DatasetError("points cannot be read", where=points, why=str(error)) from None
 
 
 def _write(

@@ -36,8 +36,8 @@ def by_points(places: ArrayLike) -> NDArray[np.float64]:
     return pose.rigid(moved.rotation, points[:, :3].mean(0) - moved.rotation @ points[:, 3:].mean(0))
 
 
-def by_surfaces(file: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Motion from b to a, the object's middle in a and the motion's covariance, as comparing the surfaces of both found them.
+def by_surfaces(file: Path) -> Registration:
+    """The motion that comparing the surfaces of both sessions found; no outlines were compared, so its misfit is 0.
 
     Args:
         file: shape.json of `reconstruct compare-shape B A --align features`.
@@ -55,13 +55,14 @@ def by_surfaces(file: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], N
         if found["ambiguous"]:
             why = "another pose of the surfaces fits as well"
             raise UsageError("how the object was turned cannot be told", where=file, why=why, remedy="give --points")
-        a_from_b = pose.checked(found["matrix"], where=f"{file}, matrix")
-        middle, covariance = np.array(found["middle"], np.float64).reshape(3), np.array(found["covariance"], np.float64)
-        if not (np.isfinite(middle).all() and np.linalg.eigvalsh(covariance.reshape(6, 6))[0] >= -1e-9 * np.trace(covariance)):
+        motion = pose.checked(found["matrix"], where=f"{file}, matrix")
+        moved = Registration.from_json({**found, "a_from_b": motion, "misfit_px": 0})
+        least = np.linalg.eigvalsh(moved.covariance)[0]
+        if not (np.isfinite(moved.middle).all() and least >= -1e-9 * np.trace(moved.covariance)):
             raise ValueError("not finite, or with a negative variance")
     except (KeyError, TypeError, ValueError, np.linalg.LinAlgError) as error:
         raise DatasetError("states no motion with its covariance", where=file, why=str(error), remedy=remedy) from None
-    return a_from_b, middle, covariance
+    return moved
 
 
 def joined(a: Scene, b: Scene, found: Registration, name: str) -> Scene:

@@ -1,6 +1,6 @@
 """How an object was moved between two sessions: found by its outlines, with the deviation of what is found, or refused."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
@@ -112,30 +112,28 @@ def registered(a: Scene, b: Scene, start: Array | None = None, *, done: Step = i
     return Registration(best.a_from_b, of_a.middle, covariance, best.misfit)
 
 
-def placed(a: Scene, b: Scene, a_from_b: Array, middle: Array, covariance: Array) -> Registration:
-    """A motion that was found by other means, such as the surfaces of both sessions, after the checks that masks allow.
-
-    Args:
-        a_from_b, middle, covariance: see `Registration`.
+def placed(a: Scene, b: Scene, known: Registration) -> Registration:
+    """A motion that was found by other means, such as the surfaces of both sessions, with the misfit of the outlines under it.
 
     Raises UsageError: the sessions do not fit together, masks are missing, or the motion is not of these two scenes.
     """
     require_sessions(a, b)
     of_a, of_b, both = outlines_of(a), outlines_of(b), f"{a.name}, {b.name}"
-    apart = float(np.linalg.norm(a_from_b[:3, :3] @ of_b.middle + a_from_b[:3, 3] - of_a.middle))
-    if apart > ELSEWHERE * of_a.extent:
-        why = f"it takes the object to {apart:.3g} from where the masks of {a.name} show it"
+    a_from_b, turn = known.a_from_b, known.deviations[1]
+    apart = float(np.linalg.norm(a_from_b[:3, :3] @ of_b.middle + a_from_b[:3, 3] - of_a.middle)) / of_a.extent
+    if apart > ELSEWHERE:
+        why = f"it takes the object {apart:.1f} of its radii away from where the masks of {a.name} show it"
         remedy = "it must lead from the second scene to the first; look at their order"
         raise UsageError("the motion is not of these scenes", where=both, why=why, remedy=remedy)
-    if (loose := np.sqrt(np.trace(covariance[3:, 3:]))) > LOOSE:
-        why = f"the turn is known to {np.rad2deg(loose):.2g} degrees"
+    if turn > LOOSE:
+        why = f"the turn is known to {np.rad2deg(turn):.2g} degrees"
         raise UsageError("how the object was turned cannot be told", where=both, why=why, remedy=_ADVICE)
     _require_moved(a_from_b, of_a, of_b, both)
     misfit = Pairs(of_a, of_b).misfit(a_from_b)
     if not np.isfinite(misfit):
         remedy = "record more views from the side"
         raise UsageError("too few outlines of the two scenes can be compared", where=both, remedy=remedy)
-    return Registration(a_from_b, middle, covariance, misfit)
+    return replace(known, misfit=misfit)
 
 
 _ADVICE = "choose one with --points or --rough, or fix something to the object that shows at its outline"

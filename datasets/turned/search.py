@@ -21,8 +21,8 @@ MOST = 30
 APART = np.deg2rad(4.0)
 """Motions whose turns differ by less are one."""
 AGREE = 1.2
-"""Outlines near what the object stands on are believed if the misfit of the best motion is at most so many times as large with
-them. With masks drawn from a mesh it is 1.1 times, with those that `datasets mask` finds 1.4 to 3.5."""
+"""Outlines near what the object stands on count if they raise the misfit of the best motion to so many times at most. Those of
+masks drawn from a mesh raise it to 1.1 times, those of masks that `datasets mask` finds to 1.4 to 3.5 times."""
 
 
 def found(a: Outlines, b: Outlines, starts: Sequence[Array], *, done: Step = ignore) -> tuple[Pairs, list[Fit]]:
