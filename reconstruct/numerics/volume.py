@@ -7,7 +7,8 @@ from jaxtyping import Array, Float
 OPAQUE = 80.0
 """Optical depth at which an interval counts as opaque: exp(-80) is 0 beside anything that float32 can show."""
 
-
+SPENT = float(-np.log(1e-3))
+"""Optical depth behind which nothing is looked at: less than a thousandth of the light would arrive."""
 SURFACE = 1 / 64
 """What a rise of the density is multiplied by: the surface of a solid is where the density is ln 2 / SURFACE [scene unit]."""
 

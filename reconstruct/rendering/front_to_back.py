@@ -8,14 +8,13 @@ until the queue ends, whatever the rays meet.
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from koala3d.reconstruct.field.appearance import Material
 from koala3d.reconstruct.field.cloud import Cloud
 from koala3d.reconstruct.field.field import Field
 from koala3d.reconstruct.numerics.compiling import barrier
-from koala3d.reconstruct.numerics.volume import optical_depth, volume_weights
+from koala3d.reconstruct.numerics.volume import SPENT, optical_depth, volume_weights
 from koala3d.reconstruct.rendering.compositing import lost_at, values_of
 from koala3d.reconstruct.sampling.sampler import Sampled
 from koala3d.reconstruct.sampling.samples import RaySamples, cloud_of
@@ -24,8 +23,6 @@ from koala3d.reconstruct.scene.space import Space
 
 UNDER_WAY, TOGETHER = (2048, 32768), 4
 """Rays that are under way at once, on a processor and elsewhere, and their samples that are evaluated together."""
-SPENT = float(-np.log(1e-3))
-"""Optical depth behind which nothing is looked at: less than a thousandth of its light would arrive."""
 
 
 class _Round(eqx.Module):

@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from koala3d.reconstruct.kernels import native
 from koala3d.reconstruct.sampling.occupancy import Occupancy
@@ -31,7 +31,7 @@ def sample(
     space: Space,
     *,
     max_per_ray: int,
-    enough: tuple[int, int] | None = None,
+    enough: int | None = None,
 ) -> Rows:
     """As `reconstruct.sampling.plain.sample`."""
     count = rays.origins.shape[0]
@@ -39,18 +39,18 @@ def sample(
     cuts = jnp.stack([steps.near, steps.enter, steps.leave, steps.far])
     parts = (steps.front, steps.inside, steps.behind)
     choices = np.array([*parts, occupancy.grid, occupancy.outer_grid, MAPS[type(space)]], np.int32)
-    wanted = np.array(enough or (count + 1, count * max_per_ray + 1), np.int32)  # more than there can be: all rays
+    wanted = np.array([enough or count + 1], np.int32)  # more than there can be: all rays
     arguments = (rays.origins, rays.directions, cuts, jitter, offset, occupancy.depth, choices, _numbers(space), wanted)
     return Rows(*native.call("sample", results, *arguments))
 
 
-def pack(rows: Rows, *, rays: int, capacity: int) -> tuple[Int[Array, " rays"], Bool[Array, " rays"], RaySamples]:
+def pack(rows: Rows, capacity: int) -> tuple[Bool[Array, " rays"], RaySamples]:
     """As `reconstruct.sampling.plain.pack`."""
     kinds = (jnp.int32, jnp.int32, jnp.float32, jnp.float32, jnp.bool_)
-    results = [jax.ShapeDtypeStruct((rays,), kind) for kind in (jnp.int32, jnp.bool_)]
-    results += [jax.ShapeDtypeStruct((capacity,), kind) for kind in kinds]
-    order, used, ray, slot, t, length, valid = native.call("pack", results, *rows)
-    return order, used, RaySamples(ray, slot, t, length, valid, rays, rows.t.shape[1])
+    rays, slots = rows.t.shape
+    lists = [jax.ShapeDtypeStruct((capacity,), kind) for kind in kinds]
+    used, *of_samples = native.call("pack", [jax.ShapeDtypeStruct((rays,), jnp.bool_), *lists], *rows)
+    return used, RaySamples(*of_samples, rays, slots)
 
 
 def _numbers(space: Space) -> Float[np.ndarray, " 17"]:

@@ -21,6 +21,7 @@ from koala3d.reconstruct.sampling.hull import cells_in_masks, cells_in_sight
 from koala3d.reconstruct.sampling.occupancy import Occupancy
 from koala3d.reconstruct.sampling.sampler import Batch, Sampled, Sampler
 from koala3d.reconstruct.sampling.samples import Footprint, RaySamples, Rows, cloud_of
+from koala3d.reconstruct.sampling.sight import in_sight
 from koala3d.reconstruct.sampling.steps import Steps
 from koala3d.reconstruct.scene.bounds import Bounds
 from koala3d.reconstruct.scene.facts import SceneFacts
@@ -32,8 +33,8 @@ FIRST_UPKEEP, LAST_UPKEEP, UPKEEP_CELLS = 16, 64, 65536
 """Steps between two times that the field is evaluated in so many cells of the grid, at the start and at the end."""
 OUTER = 2
 """Cells per axis of the object's grid for each of the grid of the surroundings."""
-SAMPLES_PER_RAY = 8
-"""The packed list is planned for rays that need at least this many samples each."""
+RAYS_PER_SAMPLE = 5 / 32
+"""Rays of a batch for each entry of the list, in front of a blank background: light reaches six or seven samples of each."""
 
 Met = tuple[Int[Array, " n"], Float[Array, " n"]]
 """Cells and densities."""
@@ -103,7 +104,7 @@ class OccupiedSteps(Sampler):
     @property
     def rays_kept(self) -> int:
         """Rays of a batch once those that meet nothing are dropped."""
-        return min(self.rays_drawn, self.capacity // SAMPLES_PER_RAY) if self.empty_below else self.rays_drawn
+        return min(self.rays_drawn, int(self.capacity * RAYS_PER_SAMPLE)) if self.empty_below else self.rays_drawn
 
     @property
     def samples_drawn(self) -> int:
@@ -127,13 +128,16 @@ class OccupiedSteps(Sampler):
         weights = focus.weights(self.grid, rays, half_box, jax.random.uniform(jitter_key, index.shape))
         return index[focus.taken(order_key, weights, self.rays_drawn)]
 
-    def batch(self, rays: Rays, colour: Float[Array, "rays 4"], key: PRNGKeyArray) -> Batch:
-        """Rays that meet something, with their samples."""
+    def batch(self, rays: Rays, colour: Float[Array, "rays 4"], key: PRNGKeyArray, field: Field) -> Batch:
+        """Rays that meet something, with their samples; in front of a blank background those that light reaches."""
         jitter, offset = barrier(jax.random.uniform(key, (2, self.rays_drawn)))
-        rows = self._rows(rays, jitter, offset, enough=(self.rays_kept, self.capacity))
-        order, used, samples = _way(rays).pack(rows, rays=self.rays_kept, capacity=self.capacity)
+        rows = self._rows(rays, jitter, offset, enough=self.rays_kept)
         if self.rays_kept < self.rays_drawn:  # empty rays have nothing to learn from
+            order, rows = rows.first_filled(self.rays_kept)
             rays, colour = jax.tree.map(lambda a: a[order], (rays, colour))
+        if self.space.bounded:  # elsewhere it reaches more than half, and looking takes as long as it saves
+            rows = in_sight(field.density, rays, rows, self.space, solid=field.solid)
+        used, samples = _way(rays).pack(rows, self.capacity)
         return Batch(rays, colour, used, samples)
 
     def sampled(self, batch: Batch, key: PRNGKeyArray) -> Sampled:
@@ -152,7 +156,7 @@ class OccupiedSteps(Sampler):
         rays: Rays,
         jitter: Float[Array, " rays"],
         offset: Float[Array, " rays"],
-        enough: tuple[int, int] | None = None,
+        enough: int | None = None,
     ) -> Rows:
         """Samples of rays, before they are packed; `enough` as of `plain.sample`."""
         steps = Steps.of(rays, steps=self.steps, space=self.space, near=self.bounds.near, far=self.bounds.far)

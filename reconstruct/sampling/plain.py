@@ -1,7 +1,7 @@
 """From rays to a list of samples in plain JAX: `sample` marches and draws, `pack` leaves no gaps; `compiled` has them too."""
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from koala3d.reconstruct.numerics.compiling import barrier
 from koala3d.reconstruct.sampling.drawing import draw, draw_probability, expected_depth
@@ -21,15 +21,14 @@ def sample(
     space: Space,
     *,
     max_per_ray: int,
-    enough: tuple[int, int] | None = None,
+    enough: int | None = None,
 ) -> Rows:
     """The drawn steps of each ray, each standing for its length over its probability; `max_per_ray - 1` are expected.
 
     Args:
         jitter: where in their steps a ray's samples lie, 0 to 1.
         offset: where in the sum of probabilities a ray's draw begins, 0 to 1.
-        enough: rays with samples, and samples, that the list will hold: once the rays before have so many, the others may be
-            left without any.
+        enough: rays with samples that are wanted: once the rays before are so many, the others may be left without any.
     """
     depth = barrier(expected_depth(occupancy, rays, steps, jitter, space))
     probability = barrier(draw_probability(depth, max_per_ray - 1))
@@ -41,28 +40,20 @@ def sample(
     return Rows(t, length, count)
 
 
-def pack(rows: Rows, *, rays: int, capacity: int) -> tuple[Int[Array, " rays"], Bool[Array, " rays"], RaySamples]:
-    """Samples of the first `rays` rays that have any, one ray after the other in a list of `capacity` entries.
-
-    All rays stay where they are if `rays` is their number.
+def pack(rows: Rows, capacity: int) -> tuple[Bool[Array, " rays"], RaySamples]:
+    """Samples of rays, one ray after the other in a list of `capacity` entries.
 
     Returns:
-        Row of each ray in the list; which of these rays have samples that all found room, for the others take no part; and
-        the samples.
+        Which rays have samples that all found room, for the others take no part; and the samples.
     """
-    all_rays, slots = rows.t.shape
-    order, count = jnp.arange(all_rays), rows.filled
-    if rays < all_rays:
-        (order,) = jnp.nonzero(count, size=rays, fill_value=0)
-        count = jnp.where(jnp.arange(rays) < jnp.count_nonzero(count), count[order], 0)
-    end, entry = jnp.cumsum(count), jnp.arange(capacity, dtype=jnp.int32)
+    rays, slots = rows.t.shape
+    end, entry = jnp.cumsum(rows.filled), jnp.arange(capacity, dtype=jnp.int32)
     fits = end <= capacity
     ends = jnp.zeros(capacity, jnp.int32).at[end].add(1, mode="drop")
     ray = barrier(jnp.minimum(jnp.cumsum(ends), rays - 1))
     of_ray = lambda a: a.at[ray].get(mode="promise_in_bounds")  # noqa: E731
     valid = (entry < end[-1]) & of_ray(fits)
-    slot = jnp.clip(entry - of_ray(end - count), 0, slots - 1)
-    place = of_ray(order) * slots + slot
-    at_place = lambda a: a.reshape(-1).at[place].get(mode="promise_in_bounds")  # noqa: E731
+    slot = jnp.clip(entry - of_ray(end - rows.filled), 0, slots - 1)
+    at_place = lambda a: a.reshape(-1).at[ray * slots + slot].get(mode="promise_in_bounds")  # noqa: E731
     t, length = jnp.where(valid, at_place(rows.t), 1.0), jnp.where(valid, at_place(rows.length), 0.0)
-    return order, fits & (count > 0), RaySamples(ray, slot, t, length, valid, rays, slots)
+    return fits & (rows.filled > 0), RaySamples(ray, slot, t, length, valid, rays, slots)

@@ -12,6 +12,7 @@ from koala3d.datasets.scene import View
 from koala3d.datasets.structure.masks.silhouette import Slack
 from koala3d.reconstruct.config import Config, SamplerConfig
 from koala3d.reconstruct.field.encodings.encoding import Encoding
+from koala3d.reconstruct.field.field import Field
 from koala3d.reconstruct.numerics.compiling import barrier
 from koala3d.reconstruct.sampling.proposals import Proposal, Spacing, propose
 from koala3d.reconstruct.sampling.sampler import Batch, Sampled, Sampler
@@ -93,7 +94,7 @@ class ProposedIntervals(Sampler):
         """Random ones."""
         return jax.random.randint(key, (self.rays,), 0, pixels.total)
 
-    def batch(self, rays: Rays, colour: Float[Array, "rays 4"], key: PRNGKeyArray) -> Batch:
+    def batch(self, rays: Rays, colour: Float[Array, "rays 4"], key: PRNGKeyArray, field: Field) -> Batch:
         """All rays. Their samples depend on the proposals, which are differentiated."""
         return Batch(rays, colour, jnp.ones(self.rays, bool), None)
 

@@ -106,8 +106,8 @@ class Sampler(eqx.Module):
         """Indices of the pixels that a batch begins with."""
 
     @abstractmethod
-    def batch(self, rays: Rays, colour: Float[Array, "rays 4"], key: PRNGKeyArray) -> Batch:
-        """The rays worth training on."""
+    def batch(self, rays: Rays, colour: Float[Array, "rays 4"], key: PRNGKeyArray, field: Field) -> Batch:
+        """The rays worth training on, with a field that says where light ends."""
 
     @abstractmethod
     def sampled(self, batch: Batch, key: PRNGKeyArray) -> Sampled:

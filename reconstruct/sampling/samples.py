@@ -18,6 +18,12 @@ class Rows(NamedTuple):
     length: Float[Array, "rays slots"]
     filled: Int[Array, " rays"]
 
+    def first_filled(self, count: int) -> tuple[Int[Array, " count"], "Rows"]:
+        """The first `count` rows with samples and their indices; rows without any follow if there are fewer."""
+        (order,) = jnp.nonzero(self.filled, size=count, fill_value=0)
+        there = jnp.arange(count) < jnp.count_nonzero(self.filled)
+        return order, Rows(self.t[order], self.length[order], jnp.where(there, self.filled[order], 0))
+
 
 class RaySamples(eqx.Module):
     """A list of samples ordered by ray, then by distance.

@@ -84,4 +84,4 @@ def drawn_batch(model: Model, pixels: Pixels, pixel_key: PRNGKeyArray, sample_ke
     index = model.sampler.pixels(pixels, pixel_key)
     rays, colour = barrier(division.spread(pixels.take(barrier(index))))  # each device adds what it has of the pixels
     rays = moved(rays, model.twists)
-    return barrier(division.spread(model.sampler.batch(rays, colour, sample_key)))
+    return barrier(division.spread(model.sampler.batch(rays, colour, sample_key, model.field)))

@@ -110,11 +110,11 @@ class Objective:
         if found.edges is not None:
             terms |= interlevel_term(found.edges, rendered.weights, found.levels)
         if weights.distortion:
-            terms |= distortion_term(rendered, found.samples, weights.distortion)
+            terms |= distortion_term(rendered, found, weights.distortion)
         if weights.hollowness:
-            terms |= hollowness_term(rendered, density, found.samples, self.schedule.hollowness(progress))
+            terms |= hollowness_term(rendered, density, found, self.schedule.hollowness(progress))
         if weights.fog:
-            terms |= fog_term(rendered, found.samples, self.schedule.fog(progress))
+            terms |= fog_term(rendered, found, self.schedule.fog(progress))
         return terms
 
 
@@ -179,24 +179,27 @@ def interlevel_term(sdist: Float[Array, "rays edges"], weights: Float[Array, "ra
     return {"interlevel": INTERLEVEL * total}
 
 
-def distortion_term(rendered: Rendered, samples: RaySamples, weight: float) -> Terms:
+def distortion_term(rendered: Rendered, found: Sampled, weight: float) -> Terms:
     """Distortion of the weights, by distance along the ray."""
-    middle, length = samples.padded(samples.t), samples.padded(samples.length)
-    return {"distortion": weight * jnp.mean(losses.distortion(rendered.weights, middle, length))}
+    middle, length = found.samples.padded(found.samples.t), found.samples.padded(found.samples.length)
+    return {"distortion": weight * _mean(losses.distortion(rendered.weights, middle, length), found)}
 
 
-def hollowness_term(
-    rendered: Rendered, density: Float[Array, " n"], samples: RaySamples, weight: float | Float[Array, ""]
-) -> Terms:
+def hollowness_term(rendered: Rendered, density: Float[Array, " n"], found: Sampled, weight: float | Float[Array, ""]) -> Terms:
     """What is solid gets no thinner behind its surface."""
-    return {"hollowness": weight * jnp.mean(losses.hollowness(rendered.weights, samples.padded(density)))}
+    return {"hollowness": weight * _mean(losses.hollowness(rendered.weights, found.samples.padded(density)), found)}
 
 
-def fog_term(rendered: Rendered, samples: RaySamples, weight: float | Float[Array, ""]) -> Terms:
+def fog_term(rendered: Rendered, found: Sampled, weight: float | Float[Array, ""]) -> Terms:
     """Nothing is before a surface."""
-    middle, length = samples.padded(samples.t), samples.padded(samples.length)
+    middle, length = found.samples.padded(found.samples.t), found.samples.padded(found.samples.length)
     slot = first_surface(jax.lax.stop_gradient(rendered.weights), length > 0, "share")
-    return {"fog": weight * jnp.mean(losses.fog(rendered.weights, middle, length, slot))}
+    return {"fog": weight * _mean(losses.fog(rendered.weights, middle, length, slot), found)}
+
+
+def _mean(values: Float[Array, " rays"], found: Sampled) -> Float[Array, ""]:
+    """Mean over the rays that take part."""
+    return jnp.sum(jnp.where(found.fits, values, 0.0)) / jnp.maximum(jnp.sum(found.fits), 1)
 
 
 def pose_term(corrections: Float[Array, "views 6"], weight: float) -> Terms:

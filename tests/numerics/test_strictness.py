@@ -15,6 +15,7 @@ from koala3d.reconstruct.numerics.safe import normalise, safe_exp, safe_norm, sr
 from koala3d.reconstruct.numerics.stepfun import inverse_power_ladder, power_ladder, resample_blurred, sample_intervals
 from koala3d.reconstruct.numerics.volume import volume_weights
 from koala3d.reconstruct.rendering.model import Model, render
+from koala3d.reconstruct.sampling.sampler import Sampled
 from koala3d.reconstruct.sampling.samples import Footprint, RaySamples, cloud_of
 from koala3d.reconstruct.scene.contraction import contract, contraction_scale, pull_back
 from koala3d.reconstruct.scene.facts import SceneFacts
@@ -107,11 +108,12 @@ def graded(request: pytest.FixtureRequest) -> tuple[Model, Callable]:
         cloud = cloud_of(rays, samples, space=BALL, footprint=Footprint())
         rendered, density = render(model.field, rays, samples, cloud)
         terms = objective.photometric(rendered, some(16, 4), jnp.ones((16, 3)), jnp.ones(16, bool), 1e-3)
-        terms |= objective.distortion_term(rendered, samples, 0.01)
-        terms |= objective.hollowness_term(rendered, density, samples, 0.1) | objective.fog_term(rendered, samples, 0.1)
-        found = jax.lax.stop_gradient(find_surfaces(rendered.weights, samples, rays.radii, config.surface.rays))
-        terms |= objective.surface_point_terms(model.field, rays, found, step.objective.weights, place, jnp.ones(()))
-        terms |= regularisers.terms(model.field, rays, Surfaces(found, found), jax.random.key(1), 0.5)
+        found = Sampled(samples, Footprint(), jnp.ones(16, bool))
+        terms |= objective.distortion_term(rendered, found, 0.01)
+        terms |= objective.hollowness_term(rendered, density, found, 0.1) | objective.fog_term(rendered, found, 0.1)
+        surfaces = jax.lax.stop_gradient(find_surfaces(rendered.weights, samples, rays.radii, config.surface.rays))
+        terms |= objective.surface_point_terms(model.field, rays, surfaces, step.objective.weights, place, jnp.ones(()))
+        terms |= regularisers.terms(model.field, rays, Surfaces(surfaces, surfaces), jax.random.key(1), 0.5)
         return objective.total(terms), terms
 
     def graded(model: Model, edges: jax.Array):

@@ -119,7 +119,7 @@ def sample_case(rng: np.random.Generator) -> Case:
     cells = np.where(rng.random(grid**3 + outer**3) < 0.3, 0.5, 0).astype(np.float16).view(np.uint16)
     numbers = [rng.random(count, np.float32), rng.random(count, np.float32), cells]
     choices = np.array([*parts, grid, outer, kind], np.int32)
-    enough = np.full(2, count * most + 1, np.int32)
+    enough = np.full(1, count + 1, np.int32)
     given = [odd(rng, count, 3), odd(rng, count, 3), cuts_of(rng, count), *numbers, choices, odd(rng, 17), enough]
     results = [((count, most), np.float32), ((count, most), np.float32), ((count,), np.int32)]
     return Case(sample._sample_rays, (count + sample.RAYS - 1) // sample.RAYS, given, results)
@@ -127,10 +127,9 @@ def sample_case(rng: np.random.Generator) -> Case:
 
 def pack_case(rng: np.random.Generator) -> Case:
     count, most, capacity = int(rng.choice([1, 2, 150])), int(rng.integers(1, 40)), int(rng.choice([1, 40, 300, 6000]))
-    rays = int(rng.choice([1, count, (count + 1) // 2]))
     found = np.where(rng.random(count) < rng.random(), rng.integers(0, most + 1, count), 0).astype(np.int32)
     lists = [((capacity,), kind) for kind in (np.int32, np.int32, np.float32, np.float32, np.uint8)]
-    results = [((rays,), np.int32), ((rays,), np.uint8), *lists]
+    results = [((count,), np.uint8), *lists]
     return Case(lambda frame, _: pack._write_list(frame), 1, [odd(rng, count, most), odd(rng, count, most), found], results)
 
 

@@ -13,7 +13,7 @@ from koala3d.reconstruct.sampling.samples import Rows
 from tests import drawn
 from tests.reconstruct.sampling.columns import LENGTH, NEAREST, Columns
 
-PACK = {way: jit(way.pack, static_argnames=("rays", "capacity")) for way in (plain, compiled)}
+PACK = {way: jit(way.pack, static_argnames="capacity") for way in (plain, compiled)}
 
 
 @pytest.fixture(params=[plain, compiled], ids=["plain", "compiled"])
@@ -66,34 +66,42 @@ def some_rows(share: float) -> Rows:
     return Rows(drawn.array(np.where(there, t, 1)), drawn.array(np.where(there, length, 0)), drawn.array(count, np.int32))
 
 
-@pytest.mark.parametrize(
-    ("share", "rays", "capacity"), [(0.6, 60, 500), (0.6, 60, 90), (0.3, 40, 120), (0.9, 40, 120), (0, 40, 9)]
-)
-def test_packed_rows_equal_a_loop(way: ModuleType, share: float, rays: int, capacity: int) -> None:
+@pytest.mark.parametrize(("share", "capacity"), [(0.6, 500), (0.6, 90), (0.3, 120), (0.9, 120), (0, 9)])
+def test_packed_rows_equal_a_loop(way: ModuleType, share: float, capacity: int) -> None:
     rows = some_rows(share)
-    order, used, samples = PACK[way](rows, rays=rays, capacity=capacity)
+    used, samples = PACK[way](rows, capacity=capacity)
     t, length, count = (np.asarray(one) for one in rows)
-    kept = np.arange(60) if rays == 60 else np.flatnonzero(count)[:rays]
-    expected, expected_used, end = [], np.zeros(rays, bool), 0
-    for ray, row in enumerate(kept):
-        end += count[row]
-        expected_used[ray] = count[row] > 0 and end <= capacity
-        expected += [(ray, slot, t[row, slot], length[row, slot]) for slot in range(count[row] if expected_used[ray] else 0)]
+    expected, expected_used, end = [], np.zeros(60, bool), 0
+    for ray in range(60):
+        end += count[ray]
+        expected_used[ray] = count[ray] > 0 and end <= capacity
+        expected += [(ray, slot, t[ray, slot], length[ray, slot]) for slot in range(count[ray] if expected_used[ray] else 0)]
     assert (end > capacity) == (capacity in (90, 120) and share > 0.5), "two of the lists overflow"
-    np.testing.assert_array_equal(order[: len(kept)], kept)
     np.testing.assert_array_equal(used, expected_used)
     valid = np.asarray(samples.valid)
     ours = np.stack([np.asarray(one, np.float64) for one in (samples.ray, samples.slot, samples.t, samples.length)], -1)
     np.testing.assert_array_equal(ours[valid], np.array(expected, np.float64).reshape(-1, 4))
     assert samples.ray.shape == (capacity,) and (np.diff(samples.ray) >= 0).all()
-    assert (ours[:, 0] < rays).all() and (ours[:, 1] < 7).all() and (ours >= 0).all()
+    assert (ours[:, 0] < 60).all() and (ours[:, 1] < 7).all() and (ours >= 0).all()
     np.testing.assert_array_equal(ours[~valid, 2:], np.tile([1.0, 0.0], ((~valid).sum(), 1)))
 
 
 @pytest.mark.usefixtures("kernels_run")
-@pytest.mark.parametrize(("share", "rays", "capacity"), [(0.6, 60, 90), (0.9, 40, 120)])
-def test_both_pack_the_same(share: float, rays: int, capacity: int) -> None:
+@pytest.mark.parametrize(("share", "capacity"), [(0.6, 90), (0.9, 120)])
+def test_both_pack_the_same(share: float, capacity: int) -> None:
     """What is not valid included."""
-    ours, theirs = (jax.tree.leaves(PACK[way](some_rows(share), rays=rays, capacity=capacity)) for way in (compiled, plain))
+    ours, theirs = (jax.tree.leaves(PACK[way](some_rows(share), capacity=capacity)) for way in (compiled, plain))
     for one, other in zip(ours, theirs, strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("wanted", [10, 60])
+def test_the_first_rows_with_samples(wanted: int) -> None:
+    rows = some_rows(0.6)
+    order, first = rows.first_filled(wanted)
+    there = np.flatnonzero(rows.filled)[:wanted]
+    assert (len(there) < wanted) == (wanted == 60)
+    np.testing.assert_array_equal(order[: len(there)], there)
+    for one, whole in zip(first, rows, strict=True):
+        np.testing.assert_array_equal(one[: len(there)], np.asarray(whole)[there])
+    assert not np.asarray(first.filled)[len(there) :].any()

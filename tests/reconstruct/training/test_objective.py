@@ -14,7 +14,8 @@ from koala3d.reconstruct.field.field import Field
 from koala3d.reconstruct.field.lit import Lit
 from koala3d.reconstruct.models import load_config
 from koala3d.reconstruct.rendering.model import Model, Rendered
-from koala3d.reconstruct.sampling.samples import RaySamples
+from koala3d.reconstruct.sampling.sampler import Sampled
+from koala3d.reconstruct.sampling.samples import Footprint, RaySamples
 from koala3d.reconstruct.scene.facts import SceneFacts
 from koala3d.reconstruct.scene.rays import Normalisation, Rays
 from koala3d.reconstruct.scene.space import BOX
@@ -99,17 +100,22 @@ def test_colours_count_over_the_background_for_used_rays_alone() -> None:
     np.testing.assert_allclose(objective.total(found), 0.4, rtol=1e-5, err_msg="the mean square error is for the log")
 
 
+def sampled(samples: RaySamples) -> Sampled:
+    """Rays that have samples take part."""
+    return Sampled(samples, Footprint(), jnp.any(samples.valid.reshape(samples.num_rays, -1), -1))
+
+
 def test_distortion_of_two_samples() -> None:
     """Intervals [1, 2] and [2, 4], weights 0.5 and 0.25: 2 * 0.5 * 0.25 * (3 - 1.5) + (0.25 * 1 + 0.0625 * 2) / 3 = 0.5."""
     samples = RaySamples.from_edges(jnp.array([[1.0, 2.0, 4.0]]))
-    found = objective.distortion_term(rendered([[0.5, 0.25]]), samples, 0.01)
+    found = objective.distortion_term(rendered([[0.5, 0.25]]), sampled(samples), 0.01)
     np.testing.assert_allclose(found["distortion"], 0.01 * 0.5, rtol=1e-5)
 
 
 def test_hollowness_of_three_samples() -> None:
     """Densities 0, 10, 5, weights 0, 0.6, 0.3: the third sample lost half, 0.3 * 0.6 * 0.5 = 0.09."""
     samples = RaySamples.from_edges(jnp.array([[1.0, 2.0, 3.0, 4.0]]))
-    found = objective.hollowness_term(rendered([[0.0, 0.6, 0.3]]), jnp.array([0.0, 10.0, 5.0]), samples, 0.1)
+    found = objective.hollowness_term(rendered([[0.0, 0.6, 0.3]]), jnp.array([0.0, 10.0, 5.0]), sampled(samples), 0.1)
     np.testing.assert_allclose(found["hollowness"], 0.1 * 0.09, rtol=1e-5)
 
 
@@ -138,9 +144,12 @@ def test_normals_at_first_surfaces(rays: Rays, surface: Surface) -> None:
 
 
 def test_fog_of_two_rays() -> None:
-    """Weights 0.1, 0.6 and 0, 0.9 at 1.5 and 3, samples 1 and 0.5 long: 0.1 lies 1.5 > 2 * 0.5 before a surface."""
-    samples = RaySamples.in_rows(jnp.array([[1.5, 3.0]] * 2), jnp.array([[1.0, 0.5]] * 2), jnp.full(2, 2))
-    found = objective.fog_term(rendered([[0.1, 0.6], [0.0, 0.9]]), samples, 0.01)
+    """Weights 0.1, 0.6 and 0, 0.9 at 1.5 and 3, samples 1 and 0.5 long: 0.1 lies 1.5 > 2 * 0.5 before a surface.
+
+    A third ray takes no part.
+    """
+    samples = RaySamples.in_rows(jnp.array([[1.5, 3.0]] * 3), jnp.array([[1.0, 0.5]] * 3), jnp.array([2, 2, 0]))
+    found = objective.fog_term(rendered([[0.1, 0.6], [0.0, 0.9], [0.0, 0.0]]), sampled(samples), 0.01)
     np.testing.assert_allclose(found["fog"], 0.01 * 0.1 / 2, rtol=1e-5)
 
 
