@@ -38,6 +38,14 @@ def optical_depth(
     return jnp.where(lengths > 0, jnp.minimum(SURFACE * jnp.maximum(density - before, 0.0), OPAQUE), 0.0)
 
 
+def optical_depth_in_rows(
+    density: Float[Array, "rays n"], last: Float[Array, " rays"], lengths: Float[Array, "rays n"], *, solid: bool
+) -> Float[Array, "rays n"]:
+    """`optical_depth` of consecutive samples, a row for each ray. `last`: density in front of the first of each row."""
+    before = jnp.concatenate([last[:, None], density[:, :-1]], -1)
+    return optical_depth(density, before, lengths, solid=solid)
+
+
 def volume_weights(depth: Float[Array, "rays samples"]) -> Float[Array, "rays samples"]:
     """Share of a ray's colour that each interval contributes.
 

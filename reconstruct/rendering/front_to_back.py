@@ -14,7 +14,7 @@ from koala3d.reconstruct.field.appearance import Material
 from koala3d.reconstruct.field.cloud import Cloud
 from koala3d.reconstruct.field.field import Field
 from koala3d.reconstruct.numerics.compiling import barrier
-from koala3d.reconstruct.numerics.volume import SPENT, optical_depth, volume_weights
+from koala3d.reconstruct.numerics.volume import SPENT, optical_depth_in_rows, volume_weights
 from koala3d.reconstruct.rendering.compositing import lost_at, values_of
 from koala3d.reconstruct.sampling.sampler import Sampled
 from koala3d.reconstruct.sampling.samples import RaySamples, cloud_of
@@ -68,9 +68,8 @@ def sums_front_to_back(
         channels = jnp.stack([jnp.ones_like(some.t), lost_at(own_t, t_before, solid=field.solid).reshape(-1)])
         channels = jnp.concatenate([channels, *values_of(field, material, own, some), normal])
         density, gone = density.reshape(places, TOGETHER), so_far[:, :2].T
-        before = jnp.concatenate([gone[1][:, None], density[:, :-1]], -1)
         lengths = jnp.where(active[:, None], extent * own.speed[:, None], 0.0)
-        depth = optical_depth(density, before, lengths, solid=field.solid)
+        depth = optical_depth_in_rows(density, gone[1], lengths, solid=field.solid)
         weights = barrier(volume_weights(depth) * jnp.exp(-gone[0])[:, None])
         more = jnp.stack([jnp.sum(depth, -1), jnp.where(active, density[:, -1] - gone[1], 0.0)])
         weighted = channels * weights.reshape(-1)

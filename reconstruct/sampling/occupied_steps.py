@@ -135,7 +135,7 @@ class OccupiedSteps(Sampler):
         if self.rays_kept < self.rays_drawn:  # empty rays have nothing to learn from
             order, rows = rows.first_filled(self.rays_kept)
             rays, colour = jax.tree.map(lambda a: a[order], (rays, colour))
-        if self.space.bounded:  # elsewhere it reaches more than half, and looking takes as long as it saves
+        if self.space.bounded:  # among surroundings looking takes as long as it saves
             rows = in_sight(field.density, rays, rows, self.space, solid=field.solid)
         used, samples = _way(rays).pack(rows, self.capacity)
         return Batch(rays, colour, used, samples)

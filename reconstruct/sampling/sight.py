@@ -1,7 +1,7 @@
-"""Which samples of a ray light reaches: the density alone is looked at from front to back, before a step is differentiated.
+"""Which samples of a ray light reaches: before a step is differentiated, the density alone is evaluated from front to back.
 
-What is behind an opaque surface has no weight and no gradient. Where objects are solid that is two thirds of the samples that an
-occupancy grid lets through, since it knows of a cell only that there is something in it.
+What is behind an opaque surface has no weight and no gradient. In front of a blank background that is up to two thirds of the
+samples that an occupancy grid lets through, since it knows of a cell only that there is something in it.
 """
 
 from collections.abc import Callable
@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from koala3d.reconstruct.field.cloud import Cloud
 from koala3d.reconstruct.numerics.compiling import barrier
-from koala3d.reconstruct.numerics.volume import SPENT, optical_depth, sum_before
+from koala3d.reconstruct.numerics.volume import SPENT, optical_depth_in_rows, sum_before
 from koala3d.reconstruct.sampling.samples import Footprint, RaySamples, Rows, cloud_of
 from koala3d.reconstruct.scene.rays import Rays
 from koala3d.reconstruct.scene.space import Space
@@ -22,7 +22,6 @@ TOGETHER = 6
 """Slots of a ray that are looked at in each of the first rounds."""
 ROOM = (1, 2, 8)
 """One of so many rays finds room in each round: most end in the first one."""
-
 
 Densities = Callable[[Cloud], Float[Array, " n"]]
 
@@ -42,12 +41,13 @@ def in_sight(density_of: Densities, rays: Rays, rows: Rows, space: Space, *, sol
         if first == end:
             break
         (those,) = jnp.nonzero(goes_on, size=-(-count // one_of), fill_value=count)
-        own_rays, own_rows, *so_far = _taken((rays, rows, depth, last), those)
-        behind, density, lit = _looked_at(density_of, own_rays, own_rows, *so_far, (first, end), space, solid)
+        part = Rows(rows.t[:, first:end], rows.length[:, first:end], rows.filled - first)
+        own_rays, part, *so_far = _taken((rays, part, depth, last), those)
+        behind, density, lit = _looked_at(density_of, own_rays, part, *so_far, space, solid)
         spent = behind >= SPENT
         kept = kept.at[those].min(jnp.where(spent, first + lit, slots), mode="drop")
         depth, last = depth.at[those].set(behind, mode="drop"), last.at[those].set(density, mode="drop")
-        goes_on = jnp.zeros(count, bool).at[those].set(~spent & (own_rows.filled > end), mode="drop")
+        goes_on = jnp.zeros(count, bool).at[those].set(~spent & (part.filled > end - first), mode="drop")
         first = end
     return barrier(rows._replace(filled=kept))
 
@@ -63,22 +63,18 @@ def _looked_at(
     rows: Rows,
     depth: Float[Array, " n"],
     last: Float[Array, " n"],
-    bounds: tuple[int, int],
     space: Space,
     solid: bool,
 ) -> tuple[Float[Array, " n"], Float[Array, " n"], Int[Array, " n"]]:
-    """Optical depth behind some slots of rays, the density of the last one, and how many of them light reaches.
+    """Optical depth behind these samples of rays, the density of each ray's last one, and how many of them light reaches.
 
     Args:
         depth: optical depth in front of them.
         last: density of the sample in front of them [1 / scene unit].
-        bounds: the first slot, and the one behind the last.
     """
-    t, length = rows.t[:, slice(*bounds)], rows.length[:, slice(*bounds)]
-    samples = RaySamples.in_rows(t, length, rows.filled - bounds[0])
-    density = density_of(barrier(cloud_of(rays, samples, space=space, footprint=Footprint()))).reshape(t.shape)
-    before = jnp.concatenate([last[:, None], density[:, :-1]], -1)
-    lengths = samples.length.reshape(t.shape) * rays.speed[:, None]
-    found = optical_depth(density, before, lengths, solid=solid)
+    samples = RaySamples.in_rows(*rows)
+    density = density_of(barrier(cloud_of(rays, samples, space=space, footprint=Footprint()))).reshape(rows.t.shape)
+    lengths = samples.length.reshape(rows.t.shape) * rays.speed[:, None]
+    found = optical_depth_in_rows(density, last, lengths, solid=solid)
     lit = jnp.sum(depth[:, None] + sum_before(found) < SPENT, -1, dtype=rows.filled.dtype)
     return barrier((depth + jnp.sum(found, -1), density[:, -1], lit))
