@@ -6,6 +6,7 @@ RUN/metrics.json    metrics per view and on average, their definitions, and the 
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -157,9 +158,12 @@ def read_truth(view: View, camera: Camera, copies: Copies | None = None) -> dict
     """All true maps of a view at the size of `camera`, and "rgb": its image in sRGB, over white if it has an alpha.
 
     Each new pixel is the mean over the pixels it covers; normals are normalised afterwards, depth is averaged where it is known.
-    "alpha" comes from the truth, from the image, or from the pixels with a depth. `copies`: see `read_scaled`.
+    "alpha" comes from the truth, from the image, or from the pixels with a depth. Where it is known, "rgb" shows the whole
+    object, and not what is left of it by a mask that was found. `copies`: see `read_scaled`.
     """
     scale = camera.width / view.camera.width
+    if view.mask is not None and "alpha" in view.truth:
+        view, copies = replace(view, mask=view.truth["alpha"], mask_inverted=False), None
     picture = read_scaled(view, scale, copies)
     maps: dict[str, NDArray[Any]] = {"rgb": over(picture)}
     if (counted := view.counted(camera)) is not None:

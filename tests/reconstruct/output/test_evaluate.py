@@ -108,6 +108,15 @@ def test_picture_is_laid_over_white_and_gives_the_alpha(ball: TrainedModel) -> N
     assert (truth["rgb"][truth["alpha"][..., 0] == 0] == 1).all()
 
 
+def test_the_picture_is_whole_though_a_mask_that_was_found_is_not(ball: TrainedModel, tmp_path: Path) -> None:
+    view = ball.scene.split("test")[0]
+    whole = evaluate.read_truth(view, view.camera)
+    images.write(tmp_path / "bitten.png", whole["alpha"] * (np.arange(48) < 24)[:, None])
+    found = evaluate.read_truth(replace(view, mask=tmp_path / "bitten.png"), view.camera)
+    np.testing.assert_allclose(found["rgb"], whole["rgb"], atol=2 / 255)  # of two alphas of eight bits
+    np.testing.assert_array_equal(found["alpha"], whole["alpha"])
+
+
 def test_without_truth_only_the_picture_is_compared(ball: TrainedModel) -> None:
     view: View = ball.scene.split("train")[0]
     found = evaluate.compare(vars(ball.picture(view)), evaluate.read_truth(view, view.camera), metric=True)
