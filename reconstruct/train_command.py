@@ -137,7 +137,7 @@ def _summary(result: dict[str, Any], out: Path) -> str:
     known = {"training rays": result["psnr_train"], "test views": result["psnr_unseen"]}
     quality = ", ".join(f"{psnr:.2f} dB on {name}" for name, psnr in known.items() if psnr is not None)
     preparation, compilation = result["preparation_s"], result["compilation_s"]
-    corrected = ", a number that was corrected half-way" if result["steps_corrected"] else ""
+    corrected = ", a number that was corrected on the way" if result["steps_corrected"] else ""
     return (
         f"{skipped}{beside}trained {result['steps']} steps{corrected} in {result['training_s']:.0f} s "
         f"(plus {preparation:.0f} s to read, {compilation:.0f} s to compile): {quality}\n{out}"

@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from koala3d.reconstruct.kernels import native
 from koala3d.reconstruct.sampling.occupancy import Occupancy
@@ -31,7 +31,7 @@ def sample(
     space: Space,
     *,
     max_per_ray: int,
-    enough: int | None = None,
+    enough: Int[Array, " 2"] | None = None,
 ) -> Rows:
     """As `reconstruct.sampling.plain.sample`."""
     count = rays.origins.shape[0]
@@ -39,7 +39,7 @@ def sample(
     cuts = jnp.stack([steps.near, steps.enter, steps.leave, steps.far])
     parts = (steps.front, steps.inside, steps.behind)
     choices = np.array([*parts, occupancy.grid, occupancy.outer_grid, MAPS[type(space)]], np.int32)
-    wanted = np.array([enough or count + 1], np.int32)  # more than there can be: all rays
+    wanted = jnp.full(2, count * max_per_ray + 1) if enough is None else enough  # more than there can be: all rays
     arguments = (rays.origins, rays.directions, cuts, jitter, offset, occupancy.depth, choices, _numbers(space), wanted)
     return Rows(*native.call("sample", results, *arguments))
 

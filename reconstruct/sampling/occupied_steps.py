@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from numpy.typing import NDArray
 
 from koala3d.datasets.scene import View
@@ -35,6 +35,8 @@ OUTER = 2
 """Cells per axis of the object's grid for each of the grid of the surroundings."""
 RAYS_PER_SAMPLE = 5 / 32
 """Rays of a batch for each entry of the list, in front of a blank background: light reaches six or seven samples of each."""
+WORTH_LOOKING = 0.5
+"""Looking where light ends pays once it reaches less than this share of the samples that a ray has room for."""
 
 Met = tuple[Int[Array, " n"], Float[Array, " n"]]
 """Cells and densities."""
@@ -128,15 +130,23 @@ class OccupiedSteps(Sampler):
         weights = focus.weights(self.grid, rays, half_box, jax.random.uniform(jitter_key, index.shape))
         return index[focus.taken(order_key, weights, self.rays_drawn)]
 
-    def batch(self, rays: Rays, colour: Float[Array, "rays 4"], key: PRNGKeyArray, field: Field) -> Batch:
-        """Rays that meet something, with their samples; in front of a blank background those that light reaches."""
+    def ends_early(self, lit: float) -> bool:
+        """Among surroundings looking takes as long as it saves; elsewhere surfaces are soft for thousands of steps."""
+        return self.space.bounded and lit < WORTH_LOOKING * self.max_per_ray
+
+    def batch(
+        self, rays: Rays, colour: Float[Array, "rays 4"], key: PRNGKeyArray, field: Field, looks: Bool[Array, ""]
+    ) -> Batch:
+        """Rays that meet something, with their samples, or with those that light reaches."""
         jitter, offset = barrier(jax.random.uniform(key, (2, self.rays_drawn)))
-        rows = self._rows(rays, jitter, offset, enough=self.rays_kept)
+        most = jnp.where(looks, self.rays_drawn * self.max_per_ray, self.capacity)
+        rows = self._rows(rays, jitter, offset, enough=jnp.array([self.rays_kept, most]))
         if self.rays_kept < self.rays_drawn:  # empty rays have nothing to learn from
             order, rows = rows.first_filled(self.rays_kept)
             rays, colour = jax.tree.map(lambda a: a[order], (rays, colour))
-        if self.space.bounded:  # among surroundings looking takes as long as it saves
-            rows = in_sight(field.density, rays, rows, self.space, solid=field.solid)
+        if self.space.bounded:
+            lit = lambda: in_sight(field.density, rays, rows, self.space, solid=field.solid).filled  # noqa: E731
+            rows = rows._replace(filled=jax.lax.cond(looks, lit, lambda: rows.filled))
         used, samples = _way(rays).pack(rows, self.capacity)
         return Batch(rays, colour, used, samples)
 
@@ -156,7 +166,7 @@ class OccupiedSteps(Sampler):
         rays: Rays,
         jitter: Float[Array, " rays"],
         offset: Float[Array, " rays"],
-        enough: int | None = None,
+        enough: Int[Array, " 2"] | None = None,
     ) -> Rows:
         """Samples of rays, before they are packed; `enough` as of `plain.sample`."""
         steps = Steps.of(rays, steps=self.steps, space=self.space, near=self.bounds.near, far=self.bounds.far)

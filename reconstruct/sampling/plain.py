@@ -1,7 +1,7 @@
 """From rays to a list of samples in plain JAX: `sample` marches and draws, `pack` leaves no gaps; `compiled` has them too."""
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from koala3d.reconstruct.numerics.compiling import barrier
 from koala3d.reconstruct.sampling.drawing import draw, draw_probability, expected_depth
@@ -21,14 +21,15 @@ def sample(
     space: Space,
     *,
     max_per_ray: int,
-    enough: int | None = None,
+    enough: Int[Array, " 2"] | None = None,
 ) -> Rows:
     """The drawn steps of each ray, each standing for its length over its probability; `max_per_ray - 1` are expected.
 
     Args:
         jitter: where in their steps a ray's samples lie, 0 to 1.
         offset: where in the sum of probabilities a ray's draw begins, 0 to 1.
-        enough: rays with samples that are wanted: once the rays before are so many, the others may be left without any.
+        enough: rays with samples, and samples, that are wanted: once the rays before have so many, the others may be left without
+            any.
     """
     depth = barrier(expected_depth(occupancy, rays, steps, jitter, space))
     probability = barrier(draw_probability(depth, max_per_ray - 1))

@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from koala3d.datasets.scene import View
 from koala3d.datasets.structure.masks.silhouette import Slack
@@ -94,7 +94,9 @@ class ProposedIntervals(Sampler):
         """Random ones."""
         return jax.random.randint(key, (self.rays,), 0, pixels.total)
 
-    def batch(self, rays: Rays, colour: Float[Array, "rays 4"], key: PRNGKeyArray, field: Field) -> Batch:
+    def batch(
+        self, rays: Rays, colour: Float[Array, "rays 4"], key: PRNGKeyArray, field: Field, looks: Bool[Array, ""]
+    ) -> Batch:
         """All rays. Their samples depend on the proposals, which are differentiated."""
         return Batch(rays, colour, jnp.ones(self.rays, bool), None)
 

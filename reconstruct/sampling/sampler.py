@@ -106,8 +106,10 @@ class Sampler(eqx.Module):
         """Indices of the pixels that a batch begins with."""
 
     @abstractmethod
-    def batch(self, rays: Rays, colour: Float[Array, "rays 4"], key: PRNGKeyArray, field: Field) -> Batch:
-        """The rays worth training on, with a field that says where light ends."""
+    def batch(
+        self, rays: Rays, colour: Float[Array, "rays 4"], key: PRNGKeyArray, field: Field, looks: Bool[Array, ""]
+    ) -> Batch:
+        """The rays worth training on. `looks`: whether the field is asked where light ends, see `ends_early`."""
 
     @abstractmethod
     def sampled(self, batch: Batch, key: PRNGKeyArray) -> Sampled:
@@ -121,6 +123,10 @@ class Sampler(eqx.Module):
     def encodings(self) -> tuple[Encoding, ...]:
         """Encodings that it learns."""
         return ()
+
+    def ends_early(self, lit: float) -> bool:
+        """Whether to leave out what is behind the end of light, when it reaches so many samples of a ray."""
+        return False
 
     def met(self, batch: Batch, density: Float[Array, " n"]) -> Any:
         """What a step has found out in passing, for `with_met`; None where nothing is kept."""

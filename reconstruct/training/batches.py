@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 import jax
 import numpy as np
-from jaxtyping import PRNGKeyArray
+from jaxtyping import Array, Bool, PRNGKeyArray
 
 from koala3d.datasets.core.console import hint
 from koala3d.datasets.core.errors import UsageError
@@ -79,9 +79,11 @@ class Division:
 ONE_DEVICE = Division()
 
 
-def drawn_batch(model: Model, pixels: Pixels, pixel_key: PRNGKeyArray, sample_key: PRNGKeyArray, division: Division) -> Batch:
+def drawn_batch(
+    model: Model, pixels: Pixels, pixel_key: PRNGKeyArray, sample_key: PRNGKeyArray, looks: Bool[Array, ""], division: Division
+) -> Batch:
     """Random pixels, their rays as the corrected cameras see them, and the samples that the sampler chooses as data."""
     index = model.sampler.pixels(pixels, pixel_key)
     rays, colour = barrier(division.spread(pixels.take(barrier(index))))  # each device adds what it has of the pixels
     rays = moved(rays, model.twists)
-    return barrier(division.spread(model.sampler.batch(rays, colour, sample_key, model.field)))
+    return barrier(division.spread(model.sampler.batch(rays, colour, sample_key, model.field, looks)))

@@ -4,12 +4,14 @@ from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from koala3d.reconstruct.config import Config, LossConfig
 from koala3d.reconstruct.field.cloud import Cloud
 from koala3d.reconstruct.field.field import Field
 from koala3d.reconstruct.numerics.stepfun import resample_blurred
+from koala3d.reconstruct.numerics.volume import SPENT, sum_before
 from koala3d.reconstruct.rendering.model import Model, Rendered, render
 from koala3d.reconstruct.sampling.proposals import Level
 from koala3d.reconstruct.sampling.sampler import Batch, Sampled
@@ -24,6 +26,10 @@ from koala3d.reconstruct.training.schedule import Schedule
 
 Terms = dict[str, Float[Array, ""]]
 
+LIT = "lit"
+"""Samples of a ray that light reaches, a figure beside the losses."""
+FIGURES = ("mse", LIT)
+"""Terms that are no losses."""
 SATURATED = 254.5 / 255
 """sRGB from which a channel of eight bits is clipped."""
 POSE_WIDTH = 1e-3
@@ -74,7 +80,7 @@ class Objective:
         background = jax.random.uniform(background_key, (rays.origins.shape[0], 3))
         width = self.weights.width if model.twists is None else min(self.weights.width, POSE_WIDTH)
         terms |= photometric(rendered, batch.colour, background, batch.used, width, clips=model.per_image is not None)
-        terms |= self.ray_terms(rendered, density, found, progress)
+        terms |= self.ray_terms(rendered, density, found, progress) | {LIT: lit(jax.lax.stop_gradient(rendered.weights), found)}
         surfaces = self.surfaces(rendered, found.samples, rays, progress, model.sampler.bounds.half_box)
         return total(terms), (terms, jax.lax.stop_gradient(density), surfaces)
 
@@ -207,6 +213,12 @@ def pose_term(corrections: Float[Array, "views 6"], weight: float) -> Terms:
     return {"poses": weight / 2 * jnp.mean(jnp.sum(corrections * corrections, -1))}
 
 
+def lit(weights: Float[Array, "rays slots"], found: Sampled) -> Float[Array, ""]:
+    """How many samples of a ray light reaches, on average."""
+    there = found.samples.padded(found.samples.length) > 0
+    return _mean(jnp.sum(there & (sum_before(weights) < 1 - np.exp(-SPENT)), -1, dtype=jnp.float32), found)
+
+
 def total(terms: Terms) -> Float[Array, ""]:
-    """Sum of all terms but the mean square error, which is for the log."""
-    return sum((value for name, value in terms.items() if name != "mse"), jnp.zeros(()))
+    """Sum of the losses."""
+    return sum((value for name, value in terms.items() if name not in FIGURES), jnp.zeros(()))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from koala3d.reconstruct.numerics.compiling import compiler_options
 from koala3d.reconstruct.scene.rays import Pixels
@@ -47,7 +47,7 @@ class Programs:
     @classmethod
     def of(cls, step: "Step", state: "TrainState", pixels: Pixels, options: dict[str, Any]) -> "Programs":
         """Compiled for such a state and such pixels, all stages at the same time."""
-        number, real = jax.ShapeDtypeStruct((), jnp.int32), jax.ShapeDtypeStruct((), jnp.float32)
+        number, real, either = (jax.ShapeDtypeStruct((), dtype) for dtype in (jnp.int32, jnp.float32, jnp.bool))
         division = step.division
         chosen = {**compiler_options(), **options}
         with ThreadPoolExecutor() as threads:  # a stage is compiled while the next is traced
@@ -55,7 +55,7 @@ class Programs:
             def compiled(stage: Any) -> Future[Any]:
                 return threads.submit(lambda: stage.lower().compile(compiler_options=chosen))
 
-            stage = traced(step.begun, (state.model, state.step, pixels, number, real), division)
+            stage = traced(step.begun, (state.model, state.step, pixels, number, real, either), division)
             part, known = _placed(stage.out_info, division), stage.out_info.terms.keys()
             begin, regularise = compiled(stage), None
             if step.second_pass is not None:
@@ -75,15 +75,19 @@ class Programs:
         progress: Float[Array, ""],
         count: int | Int[Array, ""],
         second: Any,
+        looks: Bool[Array, ""],
     ) -> tuple["TrainState", "Terms"]:
         """`count` steps, the last of them with the regularisers' second pass where `second` is true.
+
+        Args:
+            looks: as of `Sampler.batch`.
 
         Returns:
             The new state and the last step's terms, among them the faults of all of them (see `faults`).
         """
         faults, terms = self.none, {}
         for left in reversed(range(int(count))):
-            part = self.begin(state.model, state.step, pixels, seed, progress)
+            part = self.begin(state.model, state.step, pixels, seed, progress, looks)
             if left == 0 and second and self.regularise is not None:
                 part = self.regularise(state.model, state.step, part, seed, progress)
             elif self.nothing:

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from numpy.typing import NDArray
 
 from koala3d.reconstruct.config import Config
@@ -112,10 +112,18 @@ class Step:
         blur, gain = self.schedule.blur(progress), self.schedule.gain(progress)
         return model.blurred(blur.astype(jnp.float32)).freed(gain.astype(jnp.float32))
 
-    def begun(self, model: Model, step: Int[Array, ""], pixels: Pixels, seed: Int[Array, ""], progress: Float[Array, ""]) -> Part:
-        """Draw a batch and find its gradient, without the second pass."""
+    def begun(
+        self,
+        model: Model,
+        step: Int[Array, ""],
+        pixels: Pixels,
+        seed: Int[Array, ""],
+        progress: Float[Array, ""],
+        looks: Bool[Array, ""],
+    ) -> Part:
+        """Draw a batch and find its gradient, without the second pass. `looks`: as of `Sampler.batch`."""
         keys, model = self._keys(step, seed), self._blurred(model, progress)
-        batch = drawn_batch(model, pixels, keys["pixels"], keys["samples"], self.division)
+        batch = drawn_batch(model, pixels, keys["pixels"], keys["samples"], looks, self.division)
         learned, held = model.split()
         loss = lambda learned: self.objective(  # noqa: E731
             eqx.combine(learned, held), batch, keys["samples"], keys["background"], progress

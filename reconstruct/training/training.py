@@ -23,6 +23,7 @@ from koala3d.reconstruct.training import distributed
 from koala3d.reconstruct.training.decisions.skip import Skip
 from koala3d.reconstruct.training.event_log import EventLog
 from koala3d.reconstruct.training.faults import FAULTS, RECURS, cause
+from koala3d.reconstruct.training.objective import LIT
 from koala3d.reconstruct.training.pace.budget import Plan
 from koala3d.reconstruct.training.pace.clock import Clock
 from koala3d.reconstruct.training.step import Step, TrainState
@@ -71,7 +72,7 @@ class Training:
         done = jnp.asarray(clock.progress, jnp.float32)
         if self.pool is not None:
             self.pixels = self.pool.renewed(self.pixels, clock.step)
-        self.state, terms = self.advance(self.state, self.pixels, seed, done, count, second)
+        self.state, terms = self.advance(self.state, self.pixels, seed, done, count, second, jnp.asarray(clock.looks, bool))
         clock.since_upkeep += count
         due = self.state.model.sampler.upkeep_due(clock.since_upkeep, clock.progress)
         if due and schedule.rules_out_cells(clock.progress):
@@ -86,6 +87,7 @@ class Training:
         self._report_faults(faults, terms)
         if not faults:
             self._finite = terms
+            clock.looks = self.state.model.sampler.ends_early(float(terms[LIT]))
         return self._finite  # steps that are left out change nothing
 
     def _report_faults(self, faults: int, terms: dict[str, jax.Array]) -> None:
@@ -139,6 +141,6 @@ class Training:
         """Checkpoint state and clock, where this process is the one that does."""
         if not distributed.writes():
             return
-        kept = ("seconds", "step", "since_second_pass", "since_upkeep", "passes")
+        kept = ("seconds", "step", "since_second_pass", "since_upkeep", "passes", "looks")
         clock = {name: getattr(self.clock, name) for name in kept}
         checkpoint.save(self.run.path / CHECKPOINTS, self.state, clock)

@@ -72,7 +72,7 @@ def test_a_scene_trains_alike_in_millimetres_metres_and_kilometres(make_scene: C
         state = one_step.initial(jax.random.key(0))
         for chunk in range(5):
             progress = jnp.asarray(0.1 + 0.2 * chunk, jnp.float32)
-            state, terms = step(state, pixels, seed, progress, jnp.asarray(6, jnp.int32), jnp.asarray(True))
+            state, terms = step(state, pixels, seed, progress, jnp.asarray(6, jnp.int32), jnp.asarray(True), jnp.asarray(True))
         psnr.append(-10 * np.log10(float(terms["mse"])))
     assert np.ptp(psnr) < 0.2, psnr
 

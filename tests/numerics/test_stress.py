@@ -106,7 +106,7 @@ class Group:
 
     def arguments(self, seed: int, progress: float) -> tuple[jax.Array, ...]:
         counts = (jnp.asarray(seed, jnp.int32), jnp.asarray(progress, jnp.float32), jnp.asarray(STEPS, jnp.int32))
-        return *counts, jnp.asarray(True)
+        return *counts, jnp.asarray(True), jnp.asarray(True)
 
     def train(self, pixels: Pixels, seed: int) -> tuple[TrainState, list[dict[str, float]]]:
         """A short training with a second pass and an upkeep per chunk, and the terms of each chunk."""

@@ -1,7 +1,7 @@
 """Samples along rays, as a compiled loop: march and draw, one ray after the other; see `reconstruct.sampling.plain.sample`.
 
 Arrays of a call: origins (n, 3), directions (n, 3), cuts (4, n), jitter (n,), offset (n,), grid, choices and numbers of `march`,
-and how many rays with samples are enough (1,): those after them are not marched.
+and how many rays with samples, and how many samples, are enough (2,): rays after them are not marched.
 
 Results: t (n, most), length (n, most), count (n,): samples of each ray, first in its row; the rest of it has t = 1 and no length.
 """
@@ -15,7 +15,7 @@ from koala3d.reconstruct.kernels.loops.frame import argument, argument_size, exe
 from koala3d.reconstruct.kernels.loops.march import march_ray
 
 RAYS, AT_ONCE = 64, 4
-"""Rays of a chunk, and chunks after which it is seen whether there are enough rays: the same whatever threads there are."""
+"""Rays of a chunk, and chunks after which it is seen whether there are enough: the same whatever threads there are."""
 f4, i4 = np.float32, np.int32
 
 
@@ -47,11 +47,12 @@ _address_of_sampling = address_of(_sample_rays, 2)
 
 @compiled
 def _found(drawn, first, end):
-    """Rays that have samples from `first` to before `end`."""
-    rays = 0
+    """Rays that have samples from `first` to before `end`, and their samples."""
+    rays, samples = 0, 0
     for ray in range(first, end):
         rays += np.int64(drawn[ray] > 0)
-    return rays
+        samples += np.int64(drawn[ray])
+    return rays, samples
 
 
 @compiled
@@ -70,13 +71,13 @@ def _leave_out(frame, first):
 def sample(frame):
     """Samples of the rays, one group of chunks after the other until there are enough."""
     if executes(frame):
-        count, enough = argument_size(frame, 0, 0), argument(frame, 8, (1,), np.int32)
+        count, enough = argument_size(frame, 0, 0), argument(frame, 8, (2,), np.int32)
         drawn, chunks = result(frame, 2, (count,), np.int32), (count + RAYS - 1) // RAYS
-        first, rays = 0, 0
-        while first < chunks and rays < enough[0]:
+        first, rays, samples = 0, 0, 0
+        while first < chunks and rays < enough[0] and samples < enough[1]:
             end = min(first + AT_ONCE, chunks)
             in_chunks(frame, _address_of_sampling(), first, end, True)
-            rays += _found(drawn, first * RAYS, min(end * RAYS, count))
-            first = end
+            more = _found(drawn, first * RAYS, min(end * RAYS, count))
+            first, rays, samples = end, rays + more[0], samples + more[1]
         _leave_out(frame, min(first * RAYS, count))
     return 0

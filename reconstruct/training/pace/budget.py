@@ -1,4 +1,4 @@
-"""How many steps a budget of seconds is: from a short trial of the step, corrected once if the machine's rate changes.
+"""How many steps a budget of seconds is: from a short trial of the step, corrected on the way if steps take longer or shorter.
 
 The trial's steps are thrown away, and their time counts. From then on the training is one of a known number of steps, which
 `train.steps` repeats to the bit where nothing was corrected. RUN/run.json keeps the number and what it was found from.
@@ -23,7 +23,9 @@ SHARE, LONGEST_S = 0.04, 2.0
 """The trial takes this share of the budget, and no longer than this."""
 OFTEN = 2
 """Chunks of plain steps in a trial for one second pass."""
-TOLERANCE = 0.1
+CHECKS = (0.25, 0.5, 0.75)
+"""Shares of the budget after which the number of steps is looked at again."""
+TOLERANCE = 0.05
 """A number of steps that is wrong by less is left as it is."""
 
 
@@ -36,17 +38,17 @@ class Plan:
     second_s: float
     """Time of a step with it."""
     began: tuple[float, int, int]
-    """Seconds, steps and second passes before the plan."""
+    """Seconds, steps and second passes when it was made, or looked at last."""
     legs: list[Leg] = field(default_factory=list)
-    checked: bool = False
-    """Whether it was looked at half-way."""
+    checked: int = 0
+    """How often it was looked at again."""
 
     @classmethod
     def of_json(cls, content: dict[str, Any]) -> "Plan":
         """As `to_json` wrote it."""
         seconds, step, passes = content["began"]
         legs = [Leg(int(step), float(progress), int(steps)) for step, progress, steps in content["legs"]]
-        return cls(content["plain_s"], content["second_s"], (seconds, int(step), int(passes)), legs, content["checked"])
+        return cls(content["plain_s"], content["second_s"], (seconds, int(step), int(passes)), legs, int(content["checked"]))
 
     def to_json(self) -> dict[str, Any]:
         """For run.json."""
@@ -68,13 +70,14 @@ class Plan:
         return Leg(clock.step, begin, clock.step + max(1, round((clock.budget_s - clock.seconds) / step_s)))
 
     def corrected(self, clock: Clock, schedule: Schedule) -> "Plan":
-        """The plan as it is half-way, with a second leg where the first would miss the budget."""
+        """The plan as it is now, with one more leg if the last one would miss the budget by the rate since the last look."""
         seconds, step, passes = self.began
         passes = clock.passes - passes
         planned_s = self.plain_s * (clock.step - step - passes) + self.second_s * passes
         leg = self.leg(clock, schedule, clock.progress, (clock.seconds - seconds) / planned_s)
         wrong = abs(leg.steps / self.legs[-1].steps - 1) > TOLERANCE
-        return Plan(self.plain_s, self.second_s, self.began, [*self.legs, leg] if wrong else self.legs, True)
+        legs = [*self.legs, leg] if wrong else self.legs
+        return Plan(self.plain_s, self.second_s, (clock.seconds, clock.step, clock.passes), legs, self.checked + 1)
 
 
 def begin(training: "Training") -> None:
@@ -92,11 +95,11 @@ def begin(training: "Training") -> None:
 
 
 def check(training: "Training") -> None:
-    """Half-way, in steps or in seconds, correct the number of steps if it misses the budget. Every process has the same clock."""
+    """After some shares of it, in steps or in seconds, correct the number of steps. Every process has the same clock."""
     clock, plan = training.clock, training.plan
-    if clock.budget_s is None or plan is None or plan.checked or clock.step <= plan.began[1] or clock.progress >= 1:
+    if clock.budget_s is None or plan is None or clock.step <= plan.began[1] or clock.progress >= 1:
         return
-    if clock.progress >= 0.5 or clock.seconds >= 0.5 * clock.budget_s:
+    if plan.checked < len(CHECKS) and max(clock.progress, clock.seconds / clock.budget_s) >= CHECKS[plan.checked]:
         _follow(training, plan.corrected(clock, training.one_step.schedule))
 
 
@@ -118,7 +121,7 @@ def _tried(training: "Training", budget_s: float) -> tuple[float, float]:
 
     def timed(state: Any, count: int, second: bool) -> tuple[Any, float]:
         start = time.perf_counter()
-        state, terms = training.advance(state, training.pixels, seed, progress, count, second)
+        state, terms = training.advance(state, training.pixels, seed, progress, count, second, jnp.asarray(training.clock.looks, bool))
         if count == CHUNK and len(plain) % 2 and state.model.sampler.upkeep_due(2 * count, 0.5):  # as often as half-way
             state = training.keep_up(state, seed)
         jax.block_until_ready((state, terms))

@@ -27,8 +27,10 @@ class Clock:
     since_second_pass: int = 0
     since_upkeep: int = 0
     passes: int = 0
+    looks: int = 0
+    """Whether the sampler looks where light ends, as the chunk before has shown (1) or not (0)."""
     legs: list[Leg] = field(default_factory=list)
-    """One, or with a budget that was corrected half-way two; none as long as a budget's steps are not known."""
+    """One, and one more for each correction of a budget; none as long as a budget's steps are not known."""
 
     def __post_init__(self) -> None:
         if self.budget_s is None:

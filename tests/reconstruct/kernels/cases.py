@@ -119,7 +119,7 @@ def sample_case(rng: np.random.Generator) -> Case:
     cells = np.where(rng.random(grid**3 + outer**3) < 0.3, 0.5, 0).astype(np.float16).view(np.uint16)
     numbers = [rng.random(count, np.float32), rng.random(count, np.float32), cells]
     choices = np.array([*parts, grid, outer, kind], np.int32)
-    enough = np.full(1, count + 1, np.int32)
+    enough = np.array([count + 1, count * most + 1], np.int32)
     given = [odd(rng, count, 3), odd(rng, count, 3), cuts_of(rng, count), *numbers, choices, odd(rng, 17), enough]
     results = [((count, most), np.float32), ((count, most), np.float32), ((count,), np.int32)]
     return Case(sample._sample_rays, (count + sample.RAYS - 1) // sample.RAYS, given, results)

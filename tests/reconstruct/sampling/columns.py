@@ -24,7 +24,7 @@ NEAREST, LENGTH = 1.5, 2.0
 @functools.cache
 def sample_of(way: ModuleType) -> Callable[..., Rows]:
     """`sample` of plain JAX or of the kernels, compiled by JAX."""
-    return jit(way.sample, static_argnames=("space", "max_per_ray", "enough"))
+    return jit(way.sample, static_argnames=("space", "max_per_ray"))
 
 
 @functools.partial(jax.jit, static_argnums=1)

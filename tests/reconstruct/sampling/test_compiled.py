@@ -4,6 +4,7 @@ import functools
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given
@@ -109,14 +110,19 @@ def test_runs_repeat_to_the_bit() -> None:
 
 
 @pytest.mark.parametrize("kept", [40, 1000, 2048])
-def test_rays_that_are_not_wanted_are_not_marched(kept: int) -> None:
-    """The first rays with samples are the same to the bit."""
+@pytest.mark.parametrize("capacity", [1, 300, 8192, 10**6])
+def test_rays_that_are_not_wanted_are_not_marched(kept: int, capacity: int) -> None:
+    """The list of the first rays with samples is the same to the bit."""
     rays, grid = some_rays(2048), some_grid(BOX, 0.05)
     given_all = (rays, steps_of(rays, BOX), *numbers(2048, 2))
     everything = sample_of(compiled)(grid, *given_all, space=BOX, max_per_ray=24)
-    some = sample_of(compiled)(grid, *given_all, space=BOX, max_per_ray=24, enough=kept)
+    some = sample_of(compiled)(grid, *given_all, space=BOX, max_per_ray=24, enough=jnp.array([kept, capacity]))
     left_out = (np.asarray(everything.filled) > 0) & (np.asarray(some.filled) == 0)
-    assert left_out.any() == (kept < 2048)
-    firsts = [rows.first_filled(min(kept, int(np.count_nonzero(everything.filled)))) for rows in (everything, some)]
-    for one, other in zip(*map(jax.tree.leaves, firsts), strict=True):
-        np.testing.assert_array_equal(one, other)
+    assert left_out.any() == (kept < 2048 or capacity < 8192)
+    count = min(kept, int(np.count_nonzero(everything.filled)))
+    lists = [compiled.pack(rows.first_filled(count)[1], capacity) for rows in (everything, some)]
+    (_, there), _ = lists
+    valid = np.asarray(there.valid)
+    for one, other in zip(*map(jax.tree.leaves, lists), strict=True):
+        part = valid if one.shape == valid.shape else slice(None)
+        np.testing.assert_array_equal(np.asarray(one)[part], np.asarray(other)[part])

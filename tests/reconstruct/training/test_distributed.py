@@ -112,12 +112,12 @@ step = replace(step, division=Division.among(jax.devices(), state.model.sampler.
 if count > 1:
     state = distributed.on_all(state, step.division.everywhere)
 pixels = step.division.divided(pixels)
-draw = jax.jit(lambda model, pixels: drawn_batch(model, pixels, jax.random.key(1), jax.random.key(2), step.division))
+draw = jax.jit(lambda model, pixels: drawn_batch(model, pixels, jax.random.key(1), jax.random.key(2), jnp.asarray(True), step.division))
 drawn = draw(state.model, pixels)
 said = {}
 if process == 0:  # all processes have the same program
-    number, real = jax.ShapeDtypeStruct((), jnp.int32), jax.ShapeDtypeStruct((), jnp.float32)
-    program = traced(step.begun, (state.model, state.step, pixels, number, real), step.division).lower().compile()
+    number, real, either = (jax.ShapeDtypeStruct((), dtype) for dtype in (jnp.int32, jnp.float32, jnp.bool))
+    program = traced(step.begun, (state.model, state.step, pixels, number, real, either), step.division).lower().compile()
     gathers = [line for line in program.as_text().splitlines() if re.search("= .* all-gather[(-]", line)]
     shapes = [re.search(r"\\[([0-9,]+)\\]", line)[1].split(",") for line in gathers]
     said["gathered"] = max([0] + [int(np.prod([int(n) for n in shape])) for shape in shapes])

@@ -21,6 +21,7 @@ from koala3d.reconstruct.scene.poses import POSES
 from koala3d.reconstruct.training.decisions import record
 from koala3d.reconstruct.training.faults import FAULTS as FAULT_BITS
 from koala3d.reconstruct.training.loop import start, train
+from koala3d.reconstruct.training.objective import LIT
 from koala3d.reconstruct.training.step import Step
 from tests.reconstruct import glossy_ball
 from tests.reconstruct.two_sessions import of_two_sessions
@@ -41,9 +42,9 @@ def test_the_clock_is_looked_at_every_sixteen_steps_or_where_a_second_pass_is_du
     config = merged_config(config, {"surface": {"enabled": enabled, "first_period": 8, "last_period": 8}})
     training, done = start(ball_scene[0], ball_scene[1], config, tmp_path / "run", budget_s=1e3), []
 
-    def advance(state, pixels, seed, progress, count, second):
+    def advance(state, pixels, seed, progress, count, second, looks):
         done.append((int(count), bool(second)))
-        return state, {FAULT_BITS: jnp.zeros((), jnp.int32)}
+        return state, {FAULT_BITS: jnp.zeros((), jnp.int32), LIT: jnp.zeros(())}
 
     training.advance, training.keep_up = advance, lambda state, seed: state
     for _ in range(4):

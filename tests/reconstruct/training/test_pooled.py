@@ -14,6 +14,7 @@ from koala3d.reconstruct.scene import pool as pools
 from koala3d.reconstruct.scene import rays
 from koala3d.reconstruct.training.faults import FAULTS as FAULT_BITS
 from koala3d.reconstruct.training.loop import start, train
+from koala3d.reconstruct.training.objective import LIT
 
 
 @pytest.fixture
@@ -34,9 +35,9 @@ def test_each_chunk_draws_from_the_pool_of_its_step(ball_scene: tuple[Scene, Pat
     scene, folder = ball_scene
     training, seen = start(scene, folder, config, tmp_path / "run"), []
 
-    def advance(state, pixels, seed, progress, count, second):
+    def advance(state, pixels, seed, progress, count, second, looks):
         seen.append(np.asarray(pixels.colour).copy())
-        return state, {FAULT_BITS: jnp.zeros((), jnp.int32)}
+        return state, {FAULT_BITS: jnp.zeros((), jnp.int32), LIT: jnp.zeros(())}
 
     training.advance, training.keep_up = advance, lambda state, seed: state
     assert training.pool is not None and training.pool.period == 16 and len(training.pixels.view) == 2000

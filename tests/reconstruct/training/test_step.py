@@ -68,7 +68,7 @@ for count in (1, 4):
     assert (division.mesh is None) == (count == 1) and (count == 1 or division.mesh.size == 4)
     if division.everywhere is not None:
         state, pixels = jax.device_put((state, pixels), division.everywhere)
-    arguments = (jnp.asarray(0, jnp.int32), jnp.asarray(0.5, jnp.float32), 1, True)
+    arguments = (jnp.asarray(0, jnp.int32), jnp.asarray(0.5, jnp.float32), 1, True, jnp.asarray(True))
     step = replace(Step.of(config, facts), division=division).compiled(state, pixels, xla_backend_optimization_level=0)
     for _ in range(3):
         state, terms = step(state, pixels, *arguments)
@@ -138,7 +138,7 @@ def test_a_gradient_that_is_added_to_is_a_sum(trainable: Trainable, monkeypatch:
     number, progress = jnp.asarray(0, jnp.int32), jnp.asarray(0.7, jnp.float32)
 
     def gradients(model):
-        part = step.begun(model, number, pixels, number, progress)
+        part = step.begun(model, number, pixels, number, progress, jnp.asarray(True))
         return part.gradient, step.regularised(model, number, part, number, progress).gradient
 
     added = jit(gradients)(state.model)

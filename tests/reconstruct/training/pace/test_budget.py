@@ -18,6 +18,7 @@ from koala3d.reconstruct.run import CHECKPOINTS, Run
 from koala3d.reconstruct.training import training
 from koala3d.reconstruct.training.faults import FAULTS
 from koala3d.reconstruct.training.loop import train
+from koala3d.reconstruct.training.objective import LIT
 from koala3d.reconstruct.training.pace import budget
 from koala3d.reconstruct.training.pace.budget import Plan
 from koala3d.reconstruct.training.pace.clock import Clock, Leg
@@ -40,14 +41,14 @@ class Machine:
         monkeypatch.setattr(Training, "compile", lambda of: self.compile(of))
 
     def compile(self, of: Training) -> float:
-        def advance(state, pixels, seed, progress, count, second):
+        def advance(state, pixels, seed, progress, count, second, looks):
             slow = self.factor if of.clock.step >= self.slower_from else 1.0
             self.now += slow * (PLAIN_S * (count - second) + SECOND_S * second)
             self.progress.append(float(progress))
             if of.clock.step >= self.kill_at:
                 raise KoalaError("killed")
             state = state.__class__(state.model, state.optimiser, state.step + count, state.skipped)
-            return state, {FAULTS: jnp.zeros((), jnp.int32), "mse": jnp.ones(())}
+            return state, {FAULTS: jnp.zeros((), jnp.int32), "mse": jnp.ones(()), LIT: jnp.ones(())}
 
         of.advance, of.keep_up = advance, lambda state, seed: state
         return 0.0
