@@ -109,6 +109,8 @@ class Trainable:
         state, lines = jax.tree.map(jnp.copy, self.start if start is None else start), []  # programs use up their state
         for index in range(steps):
             progress = jnp.asarray(done(index), jnp.float32)
-            state, terms = self.programs(state, self.pixels, jnp.asarray(seed, jnp.int32), progress, 1, second(index), jnp.asarray(True))
+            state, terms = self.programs(
+                state, self.pixels, jnp.asarray(seed, jnp.int32), progress, 1, second(index), jnp.asarray(True)
+            )
             lines.append(terms)
         return state, [{name: float(value) for name, value in line.items()} for line in lines]

@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import equinox as eqx
@@ -32,6 +32,9 @@ AT_ONCE = 3
 """Programs that are under way at the same time: one alone leaves a core idle in its serial parts, and while it is read back."""
 SHADED = 4096
 """Rays that are shaded at once."""
+MIDDLE, DIAGONAL = (0.0, 0.0), 0.25
+PLACES = (MIDDLE, (-DIAGONAL, -DIAGONAL), (DIAGONAL, DIAGONAL))
+"""Where in its pixel each ray is, from the middle [px]: photographs, too, are means over pixels, and surfaces end within some."""
 CHANNELS = {"rgb": 3, "opacity": 1, "diffuse": 3, "specular": 3, "roughness": 1, "depth": 1, "normals_pred": 3, "normals": 3}
 
 
@@ -117,18 +120,24 @@ class Renderer:
         return *lists, None if light is None else np.broadcast_to(light, (len(lists[0]), 3, 3))
 
     def picture(self, model: Model, view: View, camera: Camera | None = None, *, normals: bool = True) -> Picture:
-        """Render a view, through its own camera or another one at the same place.
+        """Render a view, through its own camera or another one at the same place: each pixel is the mean of its rays.
 
         Args:
             normals: also composite density normals, which costs about half as much again.
         """
         camera = camera or view.camera
-        flat = self.rays(model, *self.rays_of(view, camera), normals=normals)
-        images = {name: value.reshape(camera.height, camera.width, -1) for name, value in flat.items()}
+        places = PLACES if model.sampler.frustum == "point" else (MIDDLE,)  # a cone stands for its whole pixel
+        total, known = dict.fromkeys(CHANNELS, np.float32(0)), np.float32(0)
+        for x, y in places:
+            rays = self.rays_of(view, replace(camera, cx=camera.cx - x, cy=camera.cy - y))
+            found = self.rays(model, *rays, normals=normals)
+            total = {name: total[name] + values for name, values in found.items()}
+            known = known + (found["depth"] > 0)
+        mean = {name: values / np.float32(len(places)) for name, values in total.items()}
+        mean["depth"] = total["depth"] / np.maximum(known, 1) / np.float32(self.normalisation.scale)
         for name in ("normals", "normals_pred"):
-            images[name] = np.asarray(normalise(jnp.asarray(images[name])))
-        images["depth"] = images["depth"] / self.normalisation.scale
-        return Picture(**images)
+            mean[name] = np.asarray(normalise(jnp.asarray(mean[name])))
+        return Picture(**{name: values.reshape(camera.height, camera.width, -1) for name, values in mean.items()})
 
     def rays(
         self,

@@ -59,6 +59,7 @@ class OccupiedSteps(Sampler):
     empty_below: float = eqx.field(static=True)
     """Optical depth of a step below which its cell is empty; 0: no cell is."""
 
+    frustum: ClassVar[str] = "point"
     rules_out_space: ClassVar[bool] = True
     memory_grows_with_rays: ClassVar[bool] = False
 
@@ -134,9 +135,7 @@ class OccupiedSteps(Sampler):
         """Among surroundings looking takes as long as it saves; elsewhere surfaces are soft for thousands of steps."""
         return self.space.bounded and lit < WORTH_LOOKING * self.max_per_ray
 
-    def batch(
-        self, rays: Rays, colour: Float[Array, "rays 4"], key: PRNGKeyArray, field: Field, looks: Bool[Array, ""]
-    ) -> Batch:
+    def batch(self, rays: Rays, colour: Float[Array, "rays 4"], key: PRNGKeyArray, field: Field, looks: Bool[Array, ""]) -> Batch:
         """Rays that meet something, with their samples, or with those that light reaches."""
         jitter, offset = barrier(jax.random.uniform(key, (2, self.rays_drawn)))
         most = jnp.where(looks, self.rays_drawn * self.max_per_ray, self.capacity)

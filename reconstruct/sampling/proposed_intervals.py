@@ -94,9 +94,7 @@ class ProposedIntervals(Sampler):
         """Random ones."""
         return jax.random.randint(key, (self.rays,), 0, pixels.total)
 
-    def batch(
-        self, rays: Rays, colour: Float[Array, "rays 4"], key: PRNGKeyArray, field: Field, looks: Bool[Array, ""]
-    ) -> Batch:
+    def batch(self, rays: Rays, colour: Float[Array, "rays 4"], key: PRNGKeyArray, field: Field, looks: Bool[Array, ""]) -> Batch:
         """All rays. Their samples depend on the proposals, which are differentiated."""
         return Batch(rays, colour, jnp.ones(self.rays, bool), None)
 

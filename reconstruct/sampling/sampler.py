@@ -56,6 +56,8 @@ class Sampler(eqx.Module):
     space: eqx.AbstractVar[Space]
     """Where the field lives."""
     bounds: eqx.AbstractVar[Bounds]
+    frustum: eqx.AbstractVar[str]
+    """What stands for a sample's frustum, see `Footprint`."""
 
     rules_out_space: ClassVar[bool]
     """Whether it knows empty cells, from masks and from training."""
@@ -106,9 +108,7 @@ class Sampler(eqx.Module):
         """Indices of the pixels that a batch begins with."""
 
     @abstractmethod
-    def batch(
-        self, rays: Rays, colour: Float[Array, "rays 4"], key: PRNGKeyArray, field: Field, looks: Bool[Array, ""]
-    ) -> Batch:
+    def batch(self, rays: Rays, colour: Float[Array, "rays 4"], key: PRNGKeyArray, field: Field, looks: Bool[Array, ""]) -> Batch:
         """The rays worth training on. `looks`: whether the field is asked where light ends, see `ends_early`."""
 
     @abstractmethod

@@ -121,7 +121,9 @@ def _tried(training: "Training", budget_s: float) -> tuple[float, float]:
 
     def timed(state: Any, count: int, second: bool) -> tuple[Any, float]:
         start = time.perf_counter()
-        state, terms = training.advance(state, training.pixels, seed, progress, count, second, jnp.asarray(training.clock.looks, bool))
+        state, terms = training.advance(
+            state, training.pixels, seed, progress, count, second, jnp.asarray(training.clock.looks, bool)
+        )
         if count == CHUNK and len(plain) % 2 and state.model.sampler.upkeep_due(2 * count, 0.5):  # as often as half-way
             state = training.keep_up(state, seed)
         jax.block_until_ready((state, terms))

@@ -9,12 +9,14 @@ from koala3d.datasets.scene import View
 from koala3d.reconstruct.output import evaluate
 from koala3d.reconstruct.output.align import PIXELS, Aligner
 from koala3d.reconstruct.output.trained_model import TrainedModel
+from koala3d.reconstruct.rendering import pictures
 from koala3d.reconstruct.scene import poses
 
 
 @pytest.fixture
-def photographed(painted: TrainedModel, tmp_path) -> TrainedModel:
-    """The painted ball with test pictures taken through the model itself."""
+def photographed(painted: TrainedModel, tmp_path, monkeypatch: pytest.MonkeyPatch) -> TrainedModel:
+    """The painted ball with test pictures taken through the model itself, by the rays that alignment compares."""
+    monkeypatch.setattr(pictures, "PLACES", (pictures.MIDDLE,))
     views = []
     for view in painted.scene.views:
         image = tmp_path / f"{view.name}.png"

@@ -20,6 +20,7 @@ from koala3d.reconstruct.output.trained_model import TrainedModel
 from koala3d.reconstruct.page.compose import CHANNELS, Viewpoint
 from koala3d.reconstruct.page.run_page import NOTHING, RunPage, rounded_up
 from koala3d.reconstruct.page.status import QUIET_S, is_training
+from koala3d.reconstruct.rendering import pictures
 from koala3d.reconstruct.run import CHECKPOINTS, LOG, Run
 from tests.browser import Browse
 
@@ -41,8 +42,11 @@ def viewpoint_at(trained: TrainedModel, index: int = 1) -> Viewpoint:
     return Viewpoint(view.world_from_camera, float(fov), view.camera.width / view.camera.height)
 
 
-def test_what_is_seen_is_what_the_renderer_makes_of_the_same_view(shown: Any, ball: TrainedModel) -> None:
-    """Sliced into rays of a fixed number, put together again: the picture that `TrainedModel.picture` gives."""
+def test_what_is_seen_is_what_the_renderer_makes_of_the_same_view(
+    shown: Any, ball: TrainedModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Sliced into rays of a fixed number, put together again: what `TrainedModel.picture` gives with one ray for each pixel."""
+    monkeypatch.setattr(pictures, "PLACES", (pictures.MIDDLE,))
     _, view = shown
     camera = ball.scene.views[1].camera
     found = view.render(viewpoint_at(ball), camera.width * camera.height, normals=True)

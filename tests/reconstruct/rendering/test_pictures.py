@@ -42,3 +42,18 @@ def test_pictures_larger_and_smaller_than_what_is_rendered_at_once_are_the_same(
     parts = Renderer(ball.run.normalisation).rays(ball.model, *given, normals=True)
     for name, values in whole.items():
         np.testing.assert_allclose(parts[name], values, rtol=1e-5, atol=1e-5, err_msg=name)
+
+
+def test_a_pixel_is_nearer_to_the_mean_over_its_area_than_the_ray_through_its_middle(ball: TrainedModel) -> None:
+    """At the rim of the ball; depths stay those of the ball, since what is beside it has none."""
+    view, renderer = ball.scene.split("test")[0], ball.renderer
+    camera = ball.camera(view)
+    fine = renderer.rays(ball.model, *renderer.rays_of(view, camera.scaled(8 * camera.width, 8 * camera.height)))["opacity"]
+    area = fine.reshape(camera.height, 8, camera.width, 8).mean((1, 3))
+    middle = renderer.rays(ball.model, *renderer.rays_of(view, camera))
+    picture = ball.picture(view)
+    rim = (area > 0.05) & (area < 0.95)
+    off = [np.abs(one - area)[rim].mean() for one in (picture.opacity[..., 0], middle["opacity"].reshape(area.shape))]
+    assert rim.sum() > 50 and off[0] < 0.7 * off[1]
+    deep, whole = picture.depth[..., 0], middle["depth"][middle["depth"] > 0] / renderer.normalisation.scale
+    assert deep[rim & (deep > 0)].min() > whole.min() - 1e-3 and deep.max() < whole.max() + 1e-2

@@ -199,7 +199,9 @@ def test_a_disabled_refinement_costs_nothing(
     counts = (jnp.asarray(0), jnp.asarray(0.5))
 
     def stages() -> list[str]:
-        begun, part = jax.make_jaxpr(one_step.begun, return_shape=True)(state.model, state.step, pixels, *counts)
+        begun, part = jax.make_jaxpr(one_step.begun, return_shape=True)(
+            state.model, state.step, pixels, *counts, jnp.asarray(True)
+        )
         descended = jax.make_jaxpr(one_step.descended)(state, part, pixels.origins, counts[1], counts[0])
         return [str(begun), str(descended)]
 

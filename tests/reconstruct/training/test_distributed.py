@@ -112,7 +112,8 @@ step = replace(step, division=Division.among(jax.devices(), state.model.sampler.
 if count > 1:
     state = distributed.on_all(state, step.division.everywhere)
 pixels = step.division.divided(pixels)
-draw = jax.jit(lambda model, pixels: drawn_batch(model, pixels, jax.random.key(1), jax.random.key(2), jnp.asarray(True), step.division))
+keys, looks = (jax.random.key(1), jax.random.key(2)), jnp.asarray(True)
+draw = jax.jit(lambda model, pixels: drawn_batch(model, pixels, *keys, looks, step.division))
 drawn = draw(state.model, pixels)
 said = {}
 if process == 0:  # all processes have the same program

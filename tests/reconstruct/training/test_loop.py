@@ -18,6 +18,7 @@ from koala3d.reconstruct.models import finetuned, load_config, merged_config
 from koala3d.reconstruct.output.trained_model import TrainedModel
 from koala3d.reconstruct.run import CHECKPOINTS, FAULTS, Run
 from koala3d.reconstruct.scene.poses import POSES
+from koala3d.reconstruct.training.beginning.starting import resumed as again
 from koala3d.reconstruct.training.decisions import record
 from koala3d.reconstruct.training.faults import FAULTS as FAULT_BITS
 from koala3d.reconstruct.training.loop import start, train
@@ -51,6 +52,25 @@ def test_the_clock_is_looked_at_every_sixteen_steps_or_where_a_second_pass_is_du
         training.chunk()
     assert done == ([(8, True)] * 4 if enabled else [(16, False)] * 4)
     assert training.clock.step == (32 if enabled else 64)
+
+
+def test_steps_look_where_light_ends_once_it_ends_early(ball_scene: tuple[Scene, Path], config: Config, tmp_path: Path) -> None:
+    """As the chunk before has shown, of rays with room for eight samples, also after a training is resumed."""
+    training, lit, looked = start(*ball_scene, config, tmp_path / "run"), iter([8.0, 5.0, 3.0, 3.0, 4.0]), []
+
+    def advance(state, pixels, seed, progress, count, second, looks):
+        looked.append(bool(looks))
+        return state, {FAULT_BITS: jnp.zeros((), jnp.int32), LIT: jnp.asarray(next(lit))}
+
+    training.advance, training.keep_up = advance, lambda state, seed: state
+    for _ in range(3):
+        training.chunk()
+    training.save()
+    resumed = again(ball_scene[0], tmp_path / "run", None)
+    resumed.advance, resumed.keep_up = training.advance, training.keep_up
+    for _ in range(2):
+        resumed.chunk()
+    assert looked == [False, False, False, True, True] and not resumed.clock.looks
 
 
 @pytest.mark.slow

@@ -213,3 +213,11 @@ def test_a_saturated_channel_tells_no_more_than_the_least_light() -> None:
     clipped = objective.photometric(seen, colour, background, used, 0.01, True)["mse"]
     error[0, 0] = 0
     np.testing.assert_allclose(clipped, np.mean(error**2), rtol=1e-5)
+
+
+def test_light_reaches_what_a_thousandth_of_it_is_left_for() -> None:
+    """Four of four samples in fog, one behind a wall of 0.9995, two behind a thin and a thick layer; one ray takes no part."""
+    weights = jnp.array([[0.25, 0.25, 0.25, 0.2], [0.9995, 4e-4, 0, 0], [0.5, 0.4995, 4e-4, 0], [0.9995, 0, 0, 0]])
+    samples = RaySamples.in_rows(jnp.ones((4, 4)), jnp.ones((4, 4)), jnp.array([4, 4, 4, 0]))
+    found = Sampled(samples, Footprint(), jnp.array([True, True, True, False]))
+    assert objective.lit(weights, found) == pytest.approx((4 + 1 + 2) / 3)
