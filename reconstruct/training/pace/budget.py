@@ -1,4 +1,4 @@
-"""How many steps a budget of seconds is: from a short trial of the step, corrected on the way if steps take longer or shorter.
+"""How many steps a budget of seconds is: from a short trial of the step, corrected on the way if steps are slower or faster.
 
 The trial's steps are thrown away, and their time counts. From then on the training is one of a known number of steps, which
 `train.steps` repeats to the bit where nothing was corrected. RUN/run.json keeps the number and what it was found from.
@@ -95,7 +95,7 @@ def begin(training: "Training") -> None:
 
 
 def check(training: "Training") -> None:
-    """After some shares of it, in steps or in seconds, correct the number of steps. Every process has the same clock."""
+    """After each of `CHECKS`, in steps or in seconds, correct the number of steps. Every process has the same clock."""
     clock, plan = training.clock, training.plan
     if clock.budget_s is None or plan is None or clock.step <= plan.began[1] or clock.progress >= 1:
         return

@@ -114,10 +114,11 @@ def test_no_program_copies_a_table(trainable: Trainable) -> None:
     assert descend.alias_size_in_bytes > 0.9 * descend.output_size_in_bytes, "state is overwritten"
     assert descend.temp_size_in_bytes < 2 * model.field.encoding.table.nbytes, "no second table beside the squares of one"
     for stage in programs.stages:
-        through = re.findall(r"= (\S+) conditional\(", stage.as_text())
-        assert all(
-            math.prod(map(int, dims.split(","))) < min(sizes) for one in through for dims in re.findall(r"\[([\d,]+)\]", one)
-        )
+        for result in re.findall(r"= (.*?) conditional\(", stage.as_text()):
+            shapes = re.findall(r"\[([\d,]+)\]", result)
+            assert shapes, "what a branch results in is read"
+            assert all(math.prod(map(int, shape.split(","))) < min(sizes) for shape in shapes), "no table passes through a branch"
+    assert not any(" conditional(" in stage.as_text() for stage in programs.stages[1:]), "only a batch asks whether to look"
 
 
 def test_a_second_pass_that_is_left_out_costs_nothing(trainable: Trainable) -> None:
